@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import functools
 import importlib.resources
+import re
 import reprlib
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -129,7 +130,8 @@ def bundle_path(name_or_path: str | Path) -> Path:
 def card_license(card: str) -> str:
     """Returns the license in the metadata of a card, as on the Hugging Face hub; `NO_LICENSE` if it has none."""
     found = _card_metadata(card).get("license")
-    return found if isinstance(found, str) else NO_LICENSE
+    name = found.strip() if isinstance(found, str) else ""
+    return name if name and name.isprintable() else NO_LICENSE
 
 
 def card_examples(card: str) -> tuple[str, ...]:
@@ -140,13 +142,14 @@ def card_examples(card: str) -> tuple[str, ...]:
 
 
 def _card_metadata(card: str) -> dict[Any, Any]:
-    """Returns the YAML between the first two lines `---` of a card, empty if there is none that can be read."""
-    start, _, rest = card.partition("---\n")
-    text = "" if start else rest.partition("\n---\n")[0]
+    """Returns the YAML between the first two lines `---` of a card; of YAML that cannot be read, only the license."""
+    found = re.match(r"---\n(.*?)\n---(?:\n|$)", card[:MAX_FILE_BYTES], flags=re.DOTALL)
+    text = found[1] if found else ""
     # A card may come from the hub. Whatever is wrong with it, the model can be used.
     with contextlib.suppress(UserError):
-        return parse_yaml(text[:MAX_FILE_BYTES], source=CARD_FILE).data
-    return {}
+        return parse_yaml(text, source=CARD_FILE).data
+    licenses = re.findall(r"^license: *[\"']?([\w.+-]+)", text, flags=re.MULTILINE)
+    return {"license": licenses[0]} if len(licenses) == 1 else {}
 
 
 def load_bundle_config(folder: Path) -> BundleConfig:

@@ -1,6 +1,6 @@
 """Which nodes of a GLB file are joints, where they are without an animation, and where its mesh was bound to them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,25 +58,13 @@ def find_nodes(tree: Mapping[str, Any], animation: Mapping[str, Any] | None = No
     nodes = tree.get("nodes", [])
     above = {child: number for number, node in enumerate(nodes) for child in node.get("children", [])}
     bones = _human_bones(tree)
-    skinned, notes = _skinned(tree, nodes, animation)
+    skinned, notes = _skinned(tree, above, animation)
     wanted = set(bones) or skinned or _animated(tree.get("animations", []), nodes)
     if not wanted:
         raise UserError(
             "has neither a skin nor an animation of a node, so it is not known which of its nodes are joints"
         )
-    # From each joint upwards to a node whose depth is known; without recursion, because a file may have any depth.
-    depths: dict[int, int] = {}
-    for joint in wanted:
-        line: list[int] = []
-        number: int | None = joint
-        while number is not None and number not in depths:
-            line.append(number)
-            number = above.get(number)
-            if len(line) > len(nodes):
-                raise ValueError("its nodes are their own parents")
-        start = -1 if number is None else depths[number]
-        depths |= {below: start + place for place, below in enumerate(reversed(line), start=1)}
-    order = sorted(depths, key=lambda number: (depths[number], number))
+    order = _parents_first(wanted, above)
     numbers = {number: place for place, number in enumerate(order)}
     parents = tuple(numbers[above[number]] if number in above else -1 for number in order)
     poses = [_rest_pose(nodes[number]) for number in order]
@@ -87,6 +75,23 @@ def find_nodes(tree: Mapping[str, Any], animation: Mapping[str, Any] | None = No
     names = tuple(bones.get(number) or str(nodes[number].get("name", f"node_{number}")) for number in order)
     translations, rotations, _ = map(np.stack, zip(*poses, strict=True))
     return Nodes(names, parents, numbers, translations, rotations, scales, bool(bones), notes)
+
+
+def _parents_first(joints: Iterable[int], above: Mapping[int, int]) -> list[int]:
+    """Returns joints and the nodes above them, each after its parent."""
+    # From each joint upwards to a node whose depth is known; without recursion, because a file may have any depth.
+    depths: dict[int, int] = {}
+    for joint in joints:
+        line: list[int] = []
+        number: int | None = joint
+        while number is not None and number not in depths:
+            line.append(number)
+            number = above.get(number)
+            if len(line) > len(above) + 1:
+                raise ValueError("its nodes are their own parents")
+        start = -1 if number is None else depths[number]
+        depths |= {below: start + place for place, below in enumerate(reversed(line), start=1)}
+    return sorted(depths, key=lambda number: (depths[number], number))
 
 
 def rest_clip(nodes: Nodes) -> RigClip:
@@ -120,23 +125,49 @@ def _human_bones(tree: Mapping[str, Any]) -> dict[int, str]:
 
 
 def _skinned(
-    tree: Mapping[str, Any], nodes: Sequence[Mapping[str, Any]], animation: Mapping[str, Any] | None
+    tree: Mapping[str, Any], above: Mapping[int, int], animation: Mapping[str, Any] | None
 ) -> tuple[set[int], tuple[str, ...]]:
-    """Returns the joints of the skins that an animation moves, and what is to be said of other figures."""
-    skins = [set(skin["joints"]) for skin in tree.get("skins", [])]
+    """Returns the joints of the figures that an animation moves, and what is to be said of others."""
+    nodes = tree.get("nodes", [])
+    figures = _figures([skin["joints"] for skin in tree.get("skins", [])], above, num_nodes=len(nodes))
     if animation is not None:
         moved = _animated([animation], nodes)
-        skins = [joints for joints in skins if joints & moved] or skins
-    owners: dict[Any, int] = {}
+        figures = [joints for joints in figures if joints & moved] or figures
+    found: set[int] = set()
+    names: set[Any] = set()
     notes: tuple[str, ...] = ()
-    for joints in skins:
-        names = {nodes[joint].get("name", joint): joint for joint in joints}
-        if any(owners.get(name, joint) != joint for name, joint in names.items()):
+    # A person has more joints than what it carries.
+    for joints in sorted(figures, key=len, reverse=True):
+        own = {nodes[joint].get("name", joint) for joint in joints}
+        if names & own:
             # By their names, the joints of both could not be told apart, and a motion would have limbs of each.
-            notes = ("the file has several figures with equal names of joints; only the first is read",)
+            notes = ("the file has several figures with equal names of joints; only one of them is read",)
         else:
-            owners |= names
-    return set(owners.values()), notes
+            found |= joints
+            names |= own
+    return found, notes
+
+
+def _figures(skins: Sequence[Sequence[int]], above: Mapping[int, int], *, num_nodes: int) -> list[set[int]]:
+    """Returns the joints of each figure. The skins of one figure share joints, or one hangs on a joint of another."""
+    if len(skins) <= 1:
+        return [set(joints) for joints in skins]
+    from scipy.sparse import coo_array  # here, because it takes long to import
+    from scipy.sparse.csgraph import connected_components
+
+    joints = sorted(set().union(*skins))
+    is_joint = set(joints)
+    tops: dict[int | None, int | None] = {None: None}  # the highest joint at a node or above it
+    for number in _parents_first(joints, above):
+        top = tops[above.get(number)]
+        tops[number] = number if top is None and number in is_joint else top
+    links = [(skin[0], joint) for skin in skins for joint in skin] + [(joint, tops[joint]) for joint in joints]
+    graph = coo_array((np.ones(len(links)), np.transpose(links)), (num_nodes, num_nodes))
+    labels = connected_components(graph, directed=False)[1]
+    figures: dict[int, set[int]] = {}
+    for joint in joints:
+        figures.setdefault(labels[joint], set()).add(joint)
+    return list(figures.values())
 
 
 def _animated(animations: Sequence[Mapping[str, Any]], nodes: Sequence[Mapping[str, Any]]) -> set[int]:

@@ -1,9 +1,11 @@
 """Whether a sentence says that somebody moves slowly or fast: "walks at a gentle pace", "in a hurry", "dawdles"."""
 
+import itertools
 import re
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from t2m_jax.text.verbs import bases_of, word_set, words_of
+from t2m_jax.text.verbs import CLAUSE_STARTS, Word, bases_of, word_set, words_of
 
 _Speed = Literal["slow", "fast"]
 
@@ -83,6 +85,8 @@ _OTHERS = _pattern(
 )
 """What is said of something else: "as the sun slowly sets", "a quickly spinning wheel"."""
 _NEGATED = re.compile(r"(?:\b(?:not|never|nor|neither|less|without)|n['\u2019]t)(?: [\w-]+){0,3} $", re.IGNORECASE)
+_NEGATIONS = word_set("not never nor neither")
+"""Words before a verb that is not done: "don't rush"."""
 _GAITS = {
     "walk": word_set("amble dawdle march mosey plod saunter step stride stroll trudge walk"),
     "run": word_set("dash jog race run sprint"),
@@ -118,6 +122,14 @@ def said_pace(caption: str) -> SaidPace | None:
 
 
 def _is_said(speed: _Speed, text: str) -> bool:
-    if _VERBS[speed] & bases_of(word for word in words_of(text) if word.action):
+    words = words_of(text)
+    verbs = [index for index, word in enumerate(words) if word.action and word.bases & _VERBS[speed]]
+    if not all(_is_negated(words[:index]) for index in verbs):
         return True
     return any(not _NEGATED.search(text[: found.start()]) for found in _PACES[speed].finditer(text))
+
+
+def _is_negated(before: Sequence[Word]) -> bool:
+    """Returns whether one of the last words of a clause negates the verb after them."""
+    clause = itertools.takewhile(lambda word: word.text not in CLAUSE_STARTS, before[:-4:-1])
+    return any(word.text in _NEGATIONS for word in clause)

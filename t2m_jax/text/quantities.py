@@ -2,10 +2,20 @@
 
 import itertools
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
-from t2m_jax.text.verbs import CLAUSE_STARTS, PREPOSITIONS, SIDES, forms, word_set, words_of
+from t2m_jax.text.verbs import (
+    CLAUSE_STARTS,
+    DETERMINERS,
+    PERFORMING_VERBS,
+    PREPOSITIONS,
+    SIDES,
+    Word,
+    forms,
+    word_set,
+    words_of,
+)
 
 LONGEST = 600.0
 """Longest motion in seconds that a sentence can ask for; more is hardly meant."""
@@ -63,7 +73,9 @@ _NO_LENGTH_BEFORE = _pattern(
     r"rest|time ?out|too)",
 )
 _DECADE_AFTER = _pattern(r"\b(?:his|her|their|my|your|the|early|mid|late)[ -]$")
-_DECADE_BEFORE = _pattern(r" (?:clothe|dance|disco|fashion|hip|look|movie|music|outfit|rock|show|style|television|tv)")
+_DECADE_BEFORE = _pattern(
+    r" (?:clothes|dances?|disco|fashion|hip|looks?|movies?|music|outfits?|rock|shows?|style|television|tv)\b"
+)
 """What stands around "70s" if it is a decade or an age."""
 _PAUSES = word_set("freeze hesitate hold pause rest wait")
 _TIMES = _pattern(
@@ -85,6 +97,10 @@ number of times."""
 _BENDS = word_set("arc bend circle corner curve loop rotate spin swerve turn veer zigzag")
 """Words for a path that is not straight."""
 _NO_NOUN = PREPOSITIONS | CLAUSE_STARTS
+_DEFINITE = DETERMINERS - word_set("a an another any no one two three four five six seven eight nine ten")
+"""Words before things that are there: "the box"."""
+_WITH_ACTION = PERFORMING_VERBS | {"throw"}
+"""Verbs whose object is done, not hit: "throws a punch"."""
 
 
 class Times(NamedTuple):
@@ -143,15 +159,20 @@ def quantity_words(caption: str, countable: Collection[str] = ()) -> frozenset[s
 
 def _find_time(caption: str) -> re.Match[str] | None:
     """Returns where a sentence says the length of its motion. Of two times, neither can be it."""
-    found = list(_TIME.finditer(caption))
+    found = [time for time in _TIME.finditer(caption) if not _is_decade(time, caption)]
     if len(found) != 1 or _is_pause(caption):
         return None
     (time,) = found
+    is_other = _NO_LENGTH_AFTER.search(caption[: time.start()]) or _NO_LENGTH_BEFORE.match(caption[time.end() :])
+    return None if is_other else time
+
+
+def _is_decade(time: re.Match[str], caption: str) -> bool:
+    """Returns whether "70s" is no time but a decade or an age."""
     before = caption[: time.start()]
-    after = caption[time.end() :]
-    is_other = _NO_LENGTH_AFTER.search(before) or _NO_LENGTH_BEFORE.match(after)
-    is_decade = not time["unit"] and (_DECADE_AFTER.search(before) or _DECADE_BEFORE.match(after))
-    return None if is_other or is_decade else time
+    if time["unit"] or before.lower().endswith("for ") or _value(time["number"]) % 10:
+        return False
+    return bool(_DECADE_AFTER.search(before) or _DECADE_BEFORE.match(caption[time.end() :]))
 
 
 def _is_pause(caption: str) -> bool:
@@ -182,12 +203,25 @@ def _counted_verb(caption: str, countable: Collection[str]) -> tuple[float, str]
         return None
     number = times["number"] or times["adverb"] or times["before"] or times["after"]
     for text in (caption[: times.start()], caption):
-        words = words_of(text)[::-1]
-        actions = [word.action for word in words if word.action in countable]
-        # "Kicks the box twice" is about kicks. Some actions are only seen as nouns.
-        if found := actions or [base for word in words for base in sorted(word.bases & set(countable))]:
-            return _value(number), found[0]
+        words = words_of(text)
+        bases = [{word.action} & set(countable) or word.bases & set(countable) for word in words]
+        actions = [index for index, found in enumerate(bases) if found and not _is_thing(words, index, countable)]
+        # Some actions are only seen as nouns.
+        if chosen := actions or [index for index, found in enumerate(bases) if found]:
+            return _value(number), min(bases[chosen[-1]])
     return None
+
+
+def _is_thing(words: Sequence[Word], index: int, countable: Collection[str]) -> bool:
+    """Returns whether a noun is not what is done: "kicks the box", "jumps off the step", but not "throws a punch"."""
+    if words[index].action:
+        return False
+    for word in words[:index][::-1]:
+        if word.text in _DEFINITE:
+            return True
+        if word.action or word.text in _NO_NOUN:
+            return word.action in countable and word.action not in _WITH_ACTION
+    return False
 
 
 def _counted_noun(caption: str, countable: Collection[str]) -> tuple[float, str] | None:

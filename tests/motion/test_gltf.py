@@ -6,6 +6,7 @@ import pytest
 from t2m_jax.errors import UserError
 from t2m_jax.export.formats import load_glb_file
 from t2m_jax.motion import gltf
+from t2m_jax.motion.character import load_character
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.rig import retarget
 from t2m_jax.motion.rig.rigs import RIGS, find_table
@@ -77,10 +78,7 @@ def two_figures(path, *, moved):
     writer = GlbWriter()
     roots = []
     for _ in range(2):
-        numbers = {}
-        for name, (parent, offset) in BANDAI.items():
-            numbers[name] = writer.joint(name, numbers.get(parent), translation=[part / 100 for part in offset])
-        roots.append(numbers[next(iter(BANDAI))])
+        roots.append(add_person(writer)["joint_Root"])
     joints = writer.tree["skins"][0]["joints"]
     writer.tree["skins"] = [{"joints": joints[: len(BANDAI)]}, {"joints": joints[len(BANDAI) :]}]
     writer.animation("a", [(roots[one], "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4") for one in moved])
@@ -97,7 +95,48 @@ def test_of_two_figures_the_one_that_moves_is_read(tmp_path, figure):
 
 def test_of_two_figures_that_move_the_first_is_read_and_it_is_said(tmp_path):
     clip = load_gltf(two_figures(tmp_path / "two.glb", moved=[0, 1]), fps=20.0)["a"]
-    assert len(clip.joint_names) == len(BANDAI) and "only the first is read" in clip.notes[0]
+    assert len(clip.joint_names) == len(BANDAI) and "only one of them is read" in clip.notes[0]
+
+
+def add_person(writer):
+    """Adds a person to a file and returns the numbers of its joints."""
+    numbers = {}
+    for name, (parent, offset) in BANDAI.items():
+        numbers[name] = writer.joint(name, numbers.get(parent), translation=[part / 100 for part in offset])
+    return numbers
+
+
+def is_leg(name):
+    return any(part in name for part in ("Leg", "Foot", "Toes"))
+
+
+@pytest.mark.parametrize("turned", ["joint_Root", "Spine"])
+def test_skins_that_hang_together_are_one_figure(tmp_path, turned):
+    """Body and trousers are two meshes of one person, each with a skin and a tip of the same name."""
+    writer = GlbWriter()
+    numbers = add_person(writer)
+    tips = [writer.joint("End", numbers[name]) for name in ("Hand_L", "Toes_L")]
+    legs = [number for name, number in numbers.items() if is_leg(name)]
+    body = [number for name, number in numbers.items() if not is_leg(name)]
+    writer.tree["skins"] = [{"joints": [*body, tips[0]]}, {"joints": [*legs, tips[1]]}]
+    writer.animation("a", [(numbers[turned], "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4")])
+    clip = load_gltf(writer.save(tmp_path / "clothes.glb"), fps=20.0)["a"]
+    assert len(clip.joint_names) == len(BANDAI) + 2 and not clip.notes
+    assert retarget(clip).positions.shape[1] == 22
+
+
+def test_what_a_figure_carries_is_not_read_in_its_place(tmp_path):
+    writer = GlbWriter()
+    hat = writer.joint("joint_Root")
+    person = add_person(writer)
+    joints = writer.tree["skins"][0]["joints"]
+    writer.tree["skins"] = [{"joints": joints[:1]}, {"joints": joints[1:]}]
+    tracks = [(number, "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4") for number in (hat, person["joint_Root"])]
+    writer.animation("a", tracks)
+    path = writer.save(tmp_path / "hat.glb")
+    clip = load_gltf(path, fps=20.0)["a"]
+    assert len(clip.joint_names) == len(BANDAI) and "only one of them is read" in clip.notes[0]
+    assert len(load_character(path).nodes.names) == len(BANDAI)
 
 
 def test_a_rig_is_found_and_a_person_stands(tmp_path):

@@ -45,6 +45,8 @@ def speed_of(caption):
         ("walks while the others run fast", None),
         ("walks, not too fast", None),
         ("isn't walking slowly", None),
+        ("don't rush, walk normally", None),
+        ("he walks and doesn't hurry", None),
         ("doesn’t run fast", None),
         ("walks without being in a hurry", None),
         ("walks slowly, then fast", None),
