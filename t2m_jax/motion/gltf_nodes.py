@@ -161,7 +161,9 @@ def _figures(skins: Sequence[Sequence[int]], above: Mapping[int, int], *, num_no
     for number in _parents_first(joints, above):
         top = tops[above.get(number)]
         tops[number] = number if top is None and number in is_joint else top
-    links = [(skin[0], joint) for skin in skins for joint in skin] + [(joint, tops[joint]) for joint in joints]
+    links: list[tuple[Any, Any]] = [(skin[0], joint) for skin in skins for joint in skin] + [
+        (joint, tops[joint]) for joint in joints
+    ]
     graph = coo_array((np.ones(len(links)), np.transpose(links)), (num_nodes, num_nodes))
     labels = connected_components(graph, directed=False)[1]
     figures: dict[int, set[int]] = {}

@@ -33,7 +33,7 @@ class Sampling(NamedTuple):
     max_codes: int
     """Rows of the longest motion."""
     min_codes: int = 0
-    """Rows of the shortest motion."""
+    """Rows of the shortest motion, without those that are given."""
 
 
 class Given(NamedTuple):
@@ -87,9 +87,12 @@ def sample_row(
     rule = sampling.stop_rule
     done = state.done
     # A row that ends a motion but is not kept may come one step later than one that is kept.
-    may_stop = state.step >= sampling.min_codes - rule.keeps_last
-    if given is not None:
-        may_stop &= (state.step > given.known.sum(axis=1) - rule.keeps_last) & (given.num_rows == 0)
+    step = state.step + rule.keeps_last
+    if given is None:
+        may_stop = step >= sampling.min_codes
+    else:
+        # As data, so that motions with and without known rows have one program.
+        may_stop = (step >= given.known.sum(axis=1) + max(1, sampling.min_codes)) & (given.num_rows == 0)
         done |= (given.num_rows > 0) & (state.step + 1 >= given.num_rows)
     # A key per motion and step, so that a motion does not depend on the batch or on where the loop began.
     step_keys = jax.vmap(jax.random.fold_in, (0, None))(keys, state.step)

@@ -132,11 +132,10 @@ def _sample_segment(
     # A given length may need all rows that the generator can sample, whatever the longest free length is.
     longest = model.config.generator.max_codes
     limit = longest if segment.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
-    least = min(limit, sampling.min_codes + int(lengths.max()))  # rows of the context count, too
     sampled = model.sample_codes(
         model.text_encoder([segment.prompt.read] * len(context)),
         keys,
-        sampling._replace(max_codes=limit, min_codes=least),
+        sampling._replace(max_codes=limit),
         guidance_scale=guidance_scale,
         given=_given(segment, context, max_codes=limit),
     )

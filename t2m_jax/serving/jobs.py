@@ -217,11 +217,12 @@ class Jobs:
         if number == NO_JOB:
             self._on_state(name, json.loads(data))
             return
-        if number in self.running:  # it may have been canceled
-            job = self.running[number]
-            if not job.is_started:
-                job.is_started = True
-                self._start_timer(job)  # anew: it may have waited for another request
+        # Also if it was canceled: the process ends what is not plain, and may not come back from it.
+        job = self._sent[number]
+        if not job.is_started:
+            job.is_started = True
+            self._start_timer(job)  # anew: it may have waited for another request
+        if number in self.running:
             job.events.put_nowait(Event(name, data))
         if name in (*FINAL_EVENTS, "dropped"):
             self.running.pop(number, None)
@@ -277,7 +278,9 @@ class Jobs:
         job.timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
 
     def _on_timeout(self, job: Job) -> None:
-        if not job.is_started and any(other.is_started for other in self._sent.values()):
+        is_plain = job.request.is_plain
+        ahead = (other for other in self._sent.values() if other.request.is_plain == is_plain)
+        if not job.is_started and any(other.is_started for other in ahead):
             self._start_timer(job)  # it waits for that one, which has a limit of its own
             return
         if self.running.pop(job.number, None) is not None:

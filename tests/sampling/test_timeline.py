@@ -11,6 +11,7 @@ from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.gltf import load_gltf
 from t2m_jax.motion.joining import FADE_SECONDS
 from t2m_jax.sampling.loop import Given
+from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import context_rows
@@ -21,10 +22,10 @@ pytestmark = pytest.mark.slow
 FIRST, SECOND, THIRD = tiny.CAPTIONS[:3]
 
 
-def sample(model, *, known=None, num_codes=0, num_rows=0, **options):
+def sample(model, *, known=None, num_codes=0, num_rows=0, min_codes=None, **options):
     """Codes of four motions, with `num_codes` rows of `known` [4, N, R], and their lengths."""
     keys = jnp.stack([sample_key(7, FIRST, number) for number in range(4)])
-    sampling = model.parts.sampling(SamplingOptions(**options))
+    sampling = model.parts.sampling(SamplingOptions(**options), min_codes=min_codes)
     given = None
     if known is not None:
         is_known = jnp.arange(known.shape[1])[None] < jnp.full((4, 1), num_codes)
@@ -49,6 +50,16 @@ def test_known_rows_are_kept_whatever_is_drawn(model):
     found, _ = sample(model, known=known, num_codes=2)
     np.testing.assert_array_equal(found[:, :2], known[:, :2])
     assert (found[:, 2:] != known[:, 2:]).any()
+
+
+def test_what_goes_on_is_as_long_as_a_new_motion_and_has_its_program(model):
+    known = sample(model)[0]
+    assert sample(model, known=known, min_codes=14)[1].min() >= 14
+    compiled = generate_codes._cache_size()
+    for number in (1, 3):
+        assert sample(model, known=known, num_codes=number, min_codes=14)[1].min() >= number + 14
+    assert generate_codes._cache_size() == compiled
+    assert sample(model, known=known, num_codes=3, min_codes=0)[1].min() < 17, "the model ends some earlier by itself"
 
 
 @pytest.mark.parametrize("rows", [1, 3, 5])

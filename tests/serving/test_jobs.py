@@ -260,6 +260,39 @@ def test_the_time_of_a_request_begins_when_the_one_before_it_ends(monkeypatch):
     with_queue(test)
 
 
+def test_a_canceled_request_that_hangs_does_not_hold_the_others(monkeypatch):
+    """The process cannot stop a chain in the middle, and motions of plain sentences go on beside it."""
+    monkeypatch.setattr(module, "WORK_SECONDS", 0.2)
+
+    async def test(jobs):
+        first, second, process = jobs.submit(CHAIN), jobs.submit(CHAIN), jobs._process
+        jobs.say("started", {}, first.number)
+        jobs.cancel(second)
+        await asyncio.sleep(0.1)
+        jobs.finish(jobs.sent[0])
+        jobs.say("started", {}, second.number)
+        await asyncio.sleep(0.15)  # more than the limit since it was sent
+        jobs.say("started", {}, jobs.submit(PLAIN).number)
+        assert not process.killed
+        await asyncio.sleep(0.1)
+        assert process.killed
+
+    with_queue(test)
+
+
+def test_a_request_that_never_begins_does_not_wait_for_those_of_the_other_kind(monkeypatch):
+    monkeypatch.setattr(module, "WORK_SECONDS", 0.1)
+
+    async def test(jobs):
+        chain, process = jobs.submit(CHAIN), jobs._process
+        await asyncio.sleep(0.05)
+        jobs.say("started", {}, jobs.submit(PLAIN).number)
+        await asyncio.sleep(0.07)
+        assert process.killed and names(chain)[-1] == "failed"
+
+    with_queue(test)
+
+
 def test_a_model_that_cannot_be_loaded_is_an_error():
     class Refused(QueueOnly):
         def _start_process(self):
