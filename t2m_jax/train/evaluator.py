@@ -183,8 +183,12 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     """Returns the setup of a training; its first state contains the trained movement encoder.
 
     Raises:
-        UserError: Data, words and model do not fit.
+        UserError: Data, words and model do not fit, or the movement encoder's batch the devices.
     """
+    # The movement encoder is trained before anything else looks at the devices.
+    devices = config.sharding.devices
+    if not resume and config.init is None and devices != "auto" and config.movement_batch_size % devices:
+        raise UserError(f"movement_batch_size: {config.movement_batch_size} is not a multiple of {devices} devices")
     dataset, normalizer = open_training_data(config, reader="the evaluator", resume=resume)
     train = dataset.clips("train", fraction=config.data_fraction)
     held_out = dataset.clips("val") if config.loop.validate_every else []

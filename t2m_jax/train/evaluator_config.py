@@ -19,7 +19,7 @@ class EvaluatorStepConfig(StepConfig):
     """Sizes; `num_words` is taken from the vocabulary."""
     word_vectors: Path | None = None
     """Word vectors that are not trained: a GloVe file, or a table (.npy) of the word list. By default they are
-    trained."""
+    trained. With `init`, its vectors are taken, and this only says that they stay."""
     window: int = 24
     """Frames of a training window of the movement encoder."""
     movement_batch_size: int = 128
@@ -83,9 +83,3 @@ class TrainEvaluatorConfig(EvaluatorStepConfig, NormalizedConfig):
         super().__post_init__()
         check_sizes(self, "min_count", "movement_steps")
         check_amounts(self, "patience")
-        if self.word_vectors is not None and self.init is not None:
-            raise ValueError("word_vectors: init has vectors of its words; leave one of the two out")
-        # The movement encoder is trained before anything looks at the devices again.
-        devices = self.sharding.devices
-        if self.init is None and devices != "auto" and self.movement_batch_size % devices:
-            raise ValueError(f"movement_batch_size: {self.movement_batch_size} is not a multiple of {devices} devices")

@@ -96,7 +96,7 @@ class Setup:
     validation: Validation | None = None
     evaluation: Evaluation | None = None
     patience: int = 0
-    """Updates without a lower validation loss after which training ends; 0 never ends it."""
+    """Updates without better weights after which training ends; 0 never ends it."""
 
 
 class Trainer(NamedTuple):
@@ -196,14 +196,11 @@ def open_evaluation(setup: Setup) -> EvaluationTask | None:
     """Returns what a run is evaluated on, None if it has no evaluator.
 
     Raises:
-        UserError: The evaluator is missing or does not fit the data, the validation split is too small, or the training
-            is to end by its validation loss.
+        UserError: The evaluator is missing or does not fit the data, or the validation split is too small.
     """
     evaluation = setup.evaluation
     if evaluation is None or evaluation.config.evaluator is None:
         return None
-    if setup.patience:
-        raise UserError("patience: counts validation losses, but the evaluator chooses the weights; set it to 0")
     return open_held_out(setup.dataset, evaluation.config.evaluator, seed=evaluation.config.seed, unit=evaluation.unit)
 
 
@@ -303,20 +300,21 @@ def measure_validation(
 def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights | None) -> Measurement:
     """Returns the measurement of the evaluator's metrics, with a picture, which keeps the best weights."""
     evaluation = setup.evaluation
-    assert evaluation is not None
+    assert evaluation is not None and best is not None
 
-    def measure(state: Any) -> Measured | None:
-        if not is_writer():
-            return None
-        # Motions are sampled on the devices of this process alone.
-        weights = put_everywhere(jax.device_get(dict(setup.weights(state))))
-        state = state._replace(**weights)
-        source = evaluation.source(state, held_out.samples.clips)
-        metrics = held_out_metrics(held_out, source)
-        picture = render_poster(sample_motions(held_out, source, count=NUM_PICTURED))
-        if best is not None:
+    def measure(state: Any) -> Measured:
+        metrics: dict[str, float] = {}
+        picture = None
+        if is_writer():
+            # Motions are sampled on the devices of this process alone.
+            weights = put_everywhere(jax.device_get(dict(setup.weights(state))))
+            state = state._replace(**weights)
+            source = evaluation.source(state, held_out.samples.clips)
+            metrics = held_out_metrics(held_out, source)
+            picture = render_poster(sample_motions(held_out, source, count=NUM_PICTURED))
             best.consider(int(state.step), metrics, setup.weights(state))
-        return Measured(metrics, picture)
+        wait_for_all("evaluated")  # the others read what process 0 found
+        return Measured(metrics, picture, is_last=best.is_over(int(state.step), patience=setup.patience))
 
     how = f"{HELD_OUT}, {evaluation.sampling}" if evaluation.sampling else HELD_OUT
     return Measurement("evaluation", f"evaluation ({how})", evaluation.config.every, measure)

@@ -185,8 +185,9 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         start_from=lambda path: start_from_model(path, tokenizer, parts=config.init_parts),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
         evaluation=make_evaluation(config, parts, tokenizer, reader),
-        # The config counts validations, and the loop updates.
-        patience=config.patience * config.loop.validate_every,
+        # The config counts what chooses the weights, and the loop updates.
+        patience=config.patience
+        * (config.evaluation.every if config.evaluation.evaluator else config.loop.validate_every),
     )
 
 

@@ -104,7 +104,8 @@ class TrainGeneratorConfig(GeneratorStepConfig, ExperimentConfig):
     """Clips that are longer than the data set's longest motion: left out (the original), or cut into windows that
     overlap by half, each with the captions of the clip."""
     patience: int = 0
-    """Validations without a lower loss after which training ends; 0 never ends it. The best weights are kept anyway."""
+    """Validations without a lower loss after which training ends, or evaluations without a better metric if there is an
+    evaluator; 0 never ends it. The best weights are kept anyway."""
     evaluation: GenerationEvaluationConfig = GenerationEvaluationConfig()
     """Evaluation of generated motion during training."""
 

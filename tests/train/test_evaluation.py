@@ -230,11 +230,16 @@ def test_a_validation_split_of_less_than_a_batch_is_refused_before_training(refu
     assert "do not fill a batch of 32" in refusal(data=runs.data)
 
 
-def test_patience_is_refused_beside_an_evaluator(training, tmp_path):
-    config = dataclasses.replace(training("gpt", tmp_path / "run"), patience=3)
-    with pytest.raises(UserError, match="patience: counts validation losses, but the evaluator chooses the weights"):
-        train(config)
-    assert not (tmp_path / "run").exists()
+@pytest.mark.slow
+def test_patience_counts_evaluations(training, tmp_path):
+    """The metric of a model that stays the same is never better than the first time."""
+    config = training("gpt", tmp_path / "run")
+    still = dataclasses.replace(config.optimizer, learning_rate=0.0, warmup_steps=0)
+    config = dataclasses.replace(config, patience=1, optimizer=still)
+    every = config.evaluation.every
+    assert 2 * every < config.loop.num_steps and config.loop.validate_every != every
+    assert int(train(config).step) == 2 * every
+    assert int(train(config, resume=True).step) == 2 * every, "it stays ended"
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.models.evaluator import Evaluator
 from t2m_jax.text.word_vectors import WordIds
 from t2m_jax.train import experiment, movement, train
+from t2m_jax.train.config import ShardingConfig
 from t2m_jax.train.evaluator import matching_train_step, trained_parts
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.optimizer import TrainState, make_optimizer
@@ -234,6 +235,7 @@ def test_given_words_and_vectors_are_used_and_left_as_they_are(data, tmp_path):
         ({"word_vectors": "glove.txt"}, "glove.txt: there is no such file"),
         ({"words": "words.txt"}, "words.txt: there is no such file"),
         ({"window": 10_000}, "no clips to train on"),
+        ({"sharding": ShardingConfig(devices=3)}, "movement_batch_size: 4 is not a multiple of 3 devices"),
     ],
 )
 def test_what_does_not_fit_is_refused(data, tmp_path, fields, says):

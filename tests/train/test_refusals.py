@@ -60,16 +60,6 @@ from tests.tiny import gpt_training, vqvae_training
         (TrainGptConfig, {"caption_encoder": {"dropout": 1.0}}, "caption_encoder: dropout: 1.0 is not a number from"),
         (TrainHiFiGptConfig, {"model": {"dropout": -0.1}}, "model: dropout: -0.1 is not a number from 0 to below 1"),
         (TrainVqVaeConfig, {"model": {"ema_decay": 99.0}}, "model: ema_decay: 99.0 is not a number from 0 to 1"),
-        (
-            TrainEvaluatorConfig,
-            {"word_vectors": "glove.txt", "init": "runs/evaluator"},
-            "word_vectors: init has vectors of its words; leave one of the two out",
-        ),
-        (
-            TrainEvaluatorConfig,
-            {"movement_batch_size": 4, "sharding": {"devices": 3}},
-            "movement_batch_size: 4 is not a multiple of 3 devices",
-        ),
         (TrainGptConfig, {"tau": "per_day"}, "tau: expected a number or one of"),
         (TrainGptConfig, {"data_fraction": 0.0}, "data_fraction: 0.0 is not a share above 0"),
         (TrainVqVaeConfig, {"data_fraction": 1.01}, "data_fraction: 1.01 is not a share above 0"),
