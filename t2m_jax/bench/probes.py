@@ -18,7 +18,8 @@ from t2m_jax.errors import UserError
 PRODUCT_SIZES = (1024, 2048, 4096, 8192)
 """Rows of the square matrices whose products are timed, on each device."""
 ARRAY_SIZES = (2**26, 2**28)
-"""Numbers in the arrays that are read and written, on each device. The first fills more than the cache of a CPU."""
+"""Numbers in the arrays that are read and written: on each GPU or TPU, but on all devices of a CPU together, which
+share its memory. The first fills more than its cache."""
 LONG = 0.2
 """Seconds after which no larger size is tried."""
 
@@ -60,8 +61,10 @@ def memory_rate(mesh: Mesh) -> float:
     # In place, because a CPU would spend most of the time with getting memory for a new array from the system.
     increase = jax.jit(lambda values: values + 1, donate_argnums=0)
 
+    shared = mesh.size if jax.default_backend() == "cpu" else 1
+
     def rate(size: int) -> tuple[float, float]:
-        numbers = place(jnp.ones((mesh.size, size), jnp.float32), mesh, by_rows=True)
+        numbers = place(jnp.ones((mesh.size, size // shared), jnp.float32), mesh, by_rows=True)
 
         def call() -> Any:
             nonlocal numbers

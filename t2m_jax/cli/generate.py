@@ -7,7 +7,7 @@ import shlex
 import sys
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> None:
 
     def show_warning(message: Warning | str, *_: object, **__: object) -> None:
         said.append(str(message))
-        sys.stderr.write(f"t2m: warning: {one_line(str(message))}\n")
+        _warn(f"{message}")
 
     _check_quotes(args.text)
     requests = list(_requests(args))
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> None:
         warnings.simplefilter("always", PromptWarning)
         warnings.showwarning = show_warning  # type: ignore[assignment]  # it needs the message only
         made = TextToMotion.load(args.model).make(*requests)
-        told = _show_distances(requests, made) if requests[0].targets else _show_misses(made, said, show_warning)
+        told = _show_distances(requests, made) if requests[0].targets else _show_misses(made, said, count=count)
         motions = map(changes.apply, told)
         written = list(_write(motions, options, count, character))
     pages = [path for path in written if path.suffix == ".html"]
@@ -133,16 +133,19 @@ def _targets(args: argparse.Namespace) -> "Iterator[Target]":
         yield read_target((seconds, load_motion(name), *exact))
 
 
-def _show_misses(
-    motions: "Iterator[Motion]", said: list[str], show_warning: Callable[[str], None]
-) -> "Iterator[Motion]":
-    """Yields motions, and says what they miss that was not said of their sentences before they were made."""
-    for motion in motions:
+def _warn(message: str) -> None:
+    sys.stderr.write(f"t2m: warning: {one_line(message)}\n")
+
+
+def _show_misses(motions: "Iterator[Motion]", said: list[str], *, count: int) -> "Iterator[Motion]":
+    """Yields motions, and says what each misses that was not said of its sentence before it was made."""
+    for number, motion in enumerate(motions):
         missed = motion.warning
         for known in said:
             missed = missed.replace(known, "")
         if missed.strip():
-            show_warning(missed.strip())
+            # The number is that of its file.
+            _warn(f"motion {number}: {missed.strip()}" if count > 1 else missed.strip())
         yield motion
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.data.folder import Clip
+from t2m_jax.errors import UserError
 from t2m_jax.evaluation.protocols import Plan, Protocol
 from t2m_jax.sampling.batches import batches_of, for_each_batch
 from t2m_jax.sampling.decode import pad_codes
@@ -150,7 +151,13 @@ CodeSource = Generation | Reconstruction
 def make_generation(
     model: TextToMotion, samples: Sequence[Clip], *, options: SamplingOptions | None = None
 ) -> Generation:
-    """Returns the source that generates with a model; the text encoder reads the captions of all samples now."""
+    """Returns the source that generates with a model; the text encoder reads the captions of all samples now.
+
+    Raises:
+        UserError: The options say the longest motion, which the protocol decides.
+    """
+    if options is not None and options.max_codes is not None:
+        raise UserError("max-codes: the protocol of an evaluation says how long motions are; leave it out")
     # Clips share captions. Sorted, the batches do not depend on the order of the clips.
     captions = sorted({caption.text for sample in samples for caption in sample.captions})
     texts: dict[str, Float[np.ndarray, " E"]] = {}

@@ -38,7 +38,10 @@ def ranks_of_batches(
         distances = jnp.where(jnp.isnan(distances), jnp.inf, distances)
         own = jnp.diagonal(distances)[:, None]
         others = labels[:, None] != labels[None, :]
-        return PartnerRanks(jnp.sum((distances < own) & others, axis=1), jnp.sum((distances == own) & others, axis=1))
+        nearer = jnp.sum((distances < own) & others, axis=1)
+        # What is broken is tied with all that is broken, but no partner by chance.
+        nearer = jnp.where(jnp.isfinite(own[:, 0]), nearer, len(own))
+        return PartnerRanks(nearer, jnp.sum((distances == own) & others, axis=1))
 
     # One batch after another, because all differences at once would be 32 times as large as the embeddings.
     return jax.lax.map(ranks, (queries, candidates, labels))

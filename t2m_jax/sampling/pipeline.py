@@ -336,5 +336,5 @@ class TextToMotion:
 
 def _request(captions: Sequence[str] | str, options: dict[str, Any], **fields: Any) -> MotionRequest:
     """Returns what a method is asked for. Whole numbers may stand for seconds and shares."""
-    numbers = {name: float(fields[name]) for name in ("seconds", "strength") if fields.get(name) is not None}
+    numbers = {name: float(fields[name]) for name in ("seconds", "strength") if hasattr(fields.get(name), "__float__")}
     return MotionRequest(captions=sentences(captions), options=SamplingOptions(**options), **fields | numbers)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
-from typing import Literal
+from typing import Any, Literal
 
 from t2m_jax.errors import UserError
 from t2m_jax.field_checks import check_seed
@@ -33,6 +33,15 @@ def check_seconds(seconds: float) -> None:
     if not (is_number and 0 < seconds <= MAX_SECONDS):
         given = f"{seconds:g}" if is_number else repr(seconds)
         raise UserError(f"seconds: {given} is not a number above 0, up to {MAX_SECONDS:g}")
+
+
+def check_numbers(record: Any, names: str, kind: type = Real) -> None:
+    """Raises `UserError` if a field of a record is neither None nor a number of a kind."""
+    for name in names.split():
+        value = getattr(record, name)
+        if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
+            whole = "whole " if kind is Integral else ""
+            raise UserError(f"{name.replace('_', '-')}: {value!r} is not a {whole}number")
 
 
 def sentences(captions: Sequence[str]) -> tuple[str, ...]:
@@ -77,6 +86,8 @@ class SamplingOptions:
         Raises:
             UserError: A value cannot be used with any model, or two fields exclude each other.
         """
+        check_numbers(self, "temperature top_p guidance_scale")
+        check_numbers(self, "top_k max_codes", Integral)
         # Strategy and stop rule check their own numbers and names.
         self.make_strategy()
         if self.stop_rule is not None:
@@ -135,6 +146,7 @@ class MotionRequest:
             raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
         if self.seconds is not None:
             check_seconds(self.seconds)
+        check_numbers(self, "strength")
         # Which fields go together does not depend on the model, so every door says it before a model is loaded.
         if self.span is not None or self.strength is not None:
             self._check_change("strength" if self.span is None else "span")
@@ -231,6 +243,8 @@ class MotionRequest:
             raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
 
     def _check_span(self, begin: float, end: float) -> None:
+        if not (isinstance(begin, Real) and isinstance(end, Real)):
+            raise UserError(f"span: {begin!r} to {end!r} are not two numbers of seconds")
         # NaN fails each comparison, so it is refused, too. Where the motion ends is checked with its codes.
         if not 0 <= begin <= end < math.inf:
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")

@@ -274,5 +274,6 @@ def check_lengths(request: MotionRequest) -> None:
     longest = LIMITS["seconds"]["le"]
     if max(lengths, default=0) > longest:
         raise UserError(f"seconds: {max(lengths):g} for a sentence are more than {longest:g}")
-    if sum(lengths) * request.num_samples > MAX_TOTAL_SECONDS:
+    # With room for rounding: the length of a sentence may have been divided among its actions.
+    if sum(lengths) * request.num_samples > MAX_TOTAL_SECONDS + 1e-6:
         raise UserError(f"seconds: all motions together would be longer than {MAX_TOTAL_SECONDS:g} seconds")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from t2m_jax import Motion
+from t2m_jax.cli import generate
 from t2m_jax.cli.generate import add_arguments
 from t2m_jax.cli.main import main
 from t2m_jax.data.importers.synthetic import make_motion
@@ -266,6 +267,13 @@ def test_what_a_motion_misses_is_said_once(bundle_folder, tmp_path, capsys):
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("t2m: warning: ")]
     assert len([line for line in lines if re.search(r"kick is counted \d+ times; try another seed", line)]) == 1
     assert all(line.removeprefix("t2m: warning: ") in load_motion(output).warning for line in lines)
+
+
+def test_of_several_motions_it_is_said_which_one_misses_something(capsys):
+    motions = [Motion(np.zeros((2, 22, 3), np.float32), 20.0, warning=text) for text in ("known A", "A", "", "A")]
+    assert len(list(generate._show_misses(iter(motions), ["known"], count=4))) == 4
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"t2m: warning: motion {number}: A" for number in (0, 1, 3)]
 
 
 def test_several_motions_are_numbered(bundle_folder, tmp_path, capsys):

@@ -90,6 +90,8 @@ def test_requests_that_no_model_can_answer_are_one_line(fields, said):
     [
         ({"seconds": "3"}, "seconds: '3' is not a number above 0"),
         ({"num_samples": 2.5}, "num-samples: 2.5 is not a whole number"),
+        ({"start": WALK, "strength": "1"}, "strength: '1' is not a number"),
+        ({"start": WALK, "span": ("0", "1")}, "span: '0' to '1' are not two numbers of seconds"),
         ({"seed": 1.5}, "seed: 1.5 is not a whole number"),
         ({"start": WALK, "span": (0.0, 1.0), "candidates": 2.5}, "candidates: 2.5 is not a whole number"),
     ],
@@ -97,6 +99,20 @@ def test_requests_that_no_model_can_answer_are_one_line(fields, said):
 def test_numbers_of_another_type_are_refused(fields, said):
     with pytest.raises(UserError, match=said):
         MotionRequest(captions=("walk",), **fields)
+
+
+@pytest.mark.slow  # the fast tests check types by themselves
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"top_k": 10.5}, "top-k: 10.5 is not a whole number"),
+        ({"max_codes": "5"}, "max-codes: '5' is not a whole number"),
+        ({"temperature": "1"}, "temperature: '1' is not a number"),
+    ],
+)
+def test_options_of_another_type_are_refused(options, said):
+    with pytest.raises(UserError, match=said):
+        SamplingOptions(**options)
 
 
 @pytest.mark.parametrize("bound", [{"span": (0.0, 1.0)}, {"strength": 0.5}])

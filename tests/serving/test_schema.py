@@ -134,6 +134,12 @@ def test_lengths_in_words_have_limits_too(fields, message):
         check_lengths(request_of(GOOD | fields).in_turn(["walk", "wave"]))
 
 
+def test_a_length_that_is_divided_among_actions_may_reach_the_limit():
+    """Seventeen parts of 600 seconds add up to a little more, in floating-point numbers."""
+    captions = ["walks, then waves"] * 7 + ["walks"] * 3
+    check_lengths(request_of(GOOD | {"captions": captions, "seconds": 60}).in_turn(["walk", "wave"]))
+
+
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
