@@ -33,6 +33,8 @@ REACHED = 0.95
 """A motion that travels this part of its path reaches the end."""
 SPLINE_STEP = 0.01
 """Length of the pieces of a curve through waypoints; meters."""
+REST_STEPS = 100
+"""Pieces for each waypoint in which the part of a curve that is not needed is measured."""
 
 
 Places = Float[np.ndarray, "_ 3"]
@@ -137,7 +139,7 @@ def _locked(positions: Float[jax.Array, "T J 3"], *, fps: float, skeleton: Skele
 def _smooth_path(positions: Clip, fps: float) -> tuple[Places, Way]:
     """Returns the path of the root over the ground without its sway, and the way from the start to each frame."""
     smooth = smooth_path(positions, fps=fps)
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(smooth, axis=0), axis=1)))
+    way = _way(smooth)
     if way[-1] < SHORTEST_PATH:
         raise UserError(f"path: the motion travels {way[-1]:.2f} m; {SHORTEST_PATH} m or more are needed")
     return smooth, way
@@ -151,16 +153,27 @@ def _curve(points: Float[np.ndarray, "N 2"], length: float) -> tuple[Places, Way
     """
     from scipy.interpolate import CubicSpline  # here, because it takes long to import
 
-    knots = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    knots = _way(points)
     # Natural: it does not bend at its ends, and so continues smoothly into the straight line after the last point.
     spline = CubicSpline(knots, points, bc_type="natural")
-    # The way between two points is as long as the line or longer. What follows `length` is not needed, and may be long.
+    # What follows `length` is not needed, and may be too long to be sampled so finely. The way between two points is as
+    # long as the line or longer, but up to a place between them it may be shorter.
     last = min(knots[-1], length)
-    flat = spline(np.linspace(0, last, max(2, round(last / SPLINE_STEP))))
+    while True:
+        flat = spline(np.linspace(0, last, max(2, round(last / SPLINE_STEP))))
+        way = _way(flat)
+        if way[-1] >= length or last == knots[-1]:
+            break
+        last = min(knots[-1], 1.2 * last)
+    rest = _way(spline(np.linspace(last, knots[-1], REST_STEPS * len(points))))[-1]
     end = spline(last, 1)
     flat = np.append(flat, flat[-1:] + end / np.linalg.norm(end) * length, axis=0)
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1)))
-    return np.stack([flat[:, 0], 0 * way, flat[:, 1]], axis=1), way, float(way[-2] + knots[-1] - last)
+    return np.stack([flat[:, 0], 0 * flat[:, 0], flat[:, 1]], axis=1), _way(flat), float(way[-1] + rest)
+
+
+def _way(places: Float[np.ndarray, "N D"]) -> Way:
+    """Returns the way from the first place to each."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
 
 
 def _at(path: Places, way: Way, wanted: Way) -> Places:

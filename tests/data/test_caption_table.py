@@ -133,6 +133,13 @@ def test_times_that_are_not_seconds_are_refused(tmp_path, column):
         read(tmp_path, f"file,caption,{column},end\na,{WALK},30,90\n")
 
 
+def test_of_times_in_seconds_and_in_frames_those_in_seconds_are_read(tmp_path):
+    header = "file,caption,start_frame,end_frame,start_sec,end_sec"
+    (tmp_path / "captions.csv").write_text(f"{header}\na,{WALK},30,90,1.5,4.5\n")
+    (row,) = find_entries(load_caption_table(tmp_path / "captions.csv", keys=("a",)), ("a",))
+    assert row.span == (1.5, 4.5)
+
+
 def test_a_row_of_one_file_is_not_taken_for_another(tmp_path):
     path = tmp_path / "captions.csv"
     path.write_text("file,caption\nwalk,he walks\n")

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -104,6 +105,14 @@ def test_parts_of_too_few_recordings_are_divided(source, tmp_path):
     assert report.split_sizes == {"train": 4, "val": 2, "test": 2}
 
 
+def test_parts_of_a_recording_stay_in_one_of_two_splits(source, tmp_path):
+    (tmp_path / "table.csv").write_text(PARTS_HEADER + PARTS.partition("third")[0])
+    import_bvh_folder(source, tmp_path / "data", captions=tmp_path / "table.csv", split="50/0/50")
+    dataset = open_dataset(tmp_path / "data")
+    for split in ("train", "test"):
+        assert len({name.rpartition("_")[0] for name in dataset.names(split) if name[0] != "M"}) == 1
+
+
 def test_lists_may_name_parts(source, tmp_path):
     (tmp_path / "table.csv").write_text(PARTS_HEADER + PARTS.partition("short")[0])
     for split, names in (("train", "long_1\nlong_2\n"), ("val", "long_3\n"), ("test", "long_4\n")):
@@ -155,6 +164,17 @@ def test_a_frozen_table_may_name_an_animation(tmp_path):
     write_person(tmp_path / "source/figure.glb", BANDAI, {"Turn": 90.0, "Bow": 30.0}, seconds=2.0)
     report = frozen(tmp_path / "source", tmp_path, "figure/Turn,walk,ann,train,,he turns,\n")
     assert report.num_clips == 2 and report.left_out == {}
+
+
+def test_a_broken_file_stops_a_frozen_import_if_the_table_names_it(source, tmp_path):
+    source = shutil.copytree(source, tmp_path / "source")
+    (source / "chair.glb").write_bytes(b"no motion")
+    good = f"long,walk,ann,train,{digest(source / 'long.bvh')},a walk,\n"
+    assert frozen(source, tmp_path, good).left_out == {}
+    shutil.rmtree(tmp_path / "data")
+    for name in ("chair", "Chair/Turn"):
+        with pytest.raises(UserError, match=r"first: .*chair\.glb: is not a GLB file"):
+            frozen(source, tmp_path, f"{good}{name},walk,ann,train,,a walk,\n")
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,18 @@ def test_points_far_beyond_the_end_of_a_motion_cost_nothing():
     assert len(curve) < 1000 and length > 20_000
 
 
+def test_a_curve_is_cut_where_the_motion_ends():
+    """Up to a place between two waypoints, the way may be shorter than the line."""
+    points = np.array([(0.0, 0.0), (0.928, 0.374), (2.927, 0.438), (-2.612, -7.888)])
+    curve, way, length = _curve(points, 4.94)
+    whole, whole_way, whole_length = _curve(points, 100.0)
+    wanted = np.linspace(0, 4.94, 50)
+    for axis in (0, 2):
+        found, expected = (np.interp(wanted, *both) for both in ((way, curve[:, axis]), (whole_way, whole[:, axis])))
+        np.testing.assert_allclose(found, expected, atol=1e-3)
+    assert way[-2] < 7 and length == pytest.approx(whole_length, rel=1e-3)
+
+
 def test_the_path_that_a_motion_has_changes_little():
     motion = make()
     start, end = motion.positions[0, 0, ::2], motion.positions[-1, 0, ::2]

@@ -229,7 +229,7 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
         return None
     times = {role: place for role in ("start", "end") if (place := found[role]) is not None}
     for place in times.values():
-        if not NOT_SECONDS.isdisjoint(names[place].split("_")):
+        if _is_not_seconds(names[place]):
             raise UserError(f"{path}:1: times are seconds, but the column {cells[place]!r} has others; convert it")
     used = (found["file"], *captions, *times.values())
     others = {cell: place for place, cell in enumerate(cells) if place not in used}
@@ -246,8 +246,13 @@ def _find_columns(names: Sequence[str]) -> dict[str, int | None]:
         free = {place: name for place, name in enumerate(names) if place not in found.values()}
         exact = [place for name in known for place, own in free.items() if own == name]
         partly = [place for name in known for place, own in free.items() if name in own.split("_")]
-        found[role] = next(iter([*exact, *partly]), None)
+        # Of times in seconds and in frames, those in seconds.
+        found[role] = next(iter(sorted([*exact, *partly], key=lambda place: _is_not_seconds(names[place]))), None)
     return found
+
+
+def _is_not_seconds(name: str) -> bool:
+    return not NOT_SECONDS.isdisjoint(name.split("_"))
 
 
 def _is_time(cell: str) -> bool:

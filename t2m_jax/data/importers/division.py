@@ -67,7 +67,8 @@ class Division:
         for name, group in groups.items():
             members[group].append(name)
         # Of fewer recordings than splits, parts are divided, although they are alike.
-        has_parts = len(SPLITS) <= len(members) < len(groups)
+        num_splits = sum(share > 0 for share in shares.values())
+        has_parts = num_splits <= len(members) < len(groups)
         if self.split_by is None and not has_parts:
             return split_by_hash([list(groups)], seed=str(self.seed), shares=shares)
         return split_groups(members, shares=shares, seed=str(self.seed))
