@@ -179,16 +179,24 @@ def load_table(config: TrainEvaluatorConfig, vocabulary: Vocabulary) -> Array | 
     return jnp.asarray(table)
 
 
+def resolve(config: TrainEvaluatorConfig, resume: bool) -> TrainEvaluatorConfig:
+    """Returns the config, whose movement encoder is trained before anything else looks at the devices.
+
+    Raises:
+        UserError: The devices do not divide its batch.
+    """
+    devices = config.sharding.devices
+    if not resume and config.init is None and devices != "auto" and config.movement_batch_size % devices:
+        raise UserError(f"movement_batch_size: {config.movement_batch_size} is not a multiple of {devices} devices")
+    return config
+
+
 def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     """Returns the setup of a training; its first state contains the trained movement encoder.
 
     Raises:
-        UserError: Data, words and model do not fit, or the movement encoder's batch the devices.
+        UserError: Data, words and model do not fit.
     """
-    # The movement encoder is trained before anything else looks at the devices.
-    devices = config.sharding.devices
-    if not resume and config.init is None and devices != "auto" and config.movement_batch_size % devices:
-        raise UserError(f"movement_batch_size: {config.movement_batch_size} is not a multiple of {devices} devices")
     dataset, normalizer = open_training_data(config, reader="the evaluator", resume=resume)
     train = dataset.clips("train", fraction=config.data_fraction)
     held_out = dataset.clips("val") if config.loop.validate_every else []
@@ -231,6 +239,9 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
 
 
 TRAINER = Trainer(
-    config=TrainEvaluatorConfig, prepare=prepare, next_command="t2m evaluate generation --data {data} --evaluator {run}"
+    config=TrainEvaluatorConfig,
+    prepare=prepare,
+    resolve=resolve,
+    next_command="t2m evaluate generation --data {data} --evaluator {run}",
 )
 """The entry point `evaluator`."""

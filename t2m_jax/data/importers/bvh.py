@@ -18,6 +18,7 @@ from t2m_jax.data.importers.caption_files import (
     clip_name,
     find_captions,
     find_table,
+    is_named,
     unused_entries,
 )
 from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
@@ -201,8 +202,9 @@ class _Converter:
         try:
             motions = open_motion_file(path, amc_fps=self.options.amc_fps, rig=self.options.rig)
         except UserError as error:
-            if self._is_wanted(path):
-                self.left_out[self._add(Source(path, None))] = str(error)
+            motion = Source(path, None)
+            if not self.options.frozen or is_named(self.table, motion.keys(self.source)):
+                self.left_out[self._add(motion)] = str(error)
             return
         for motion, clip in motions.items():
             if self.options.frozen and not find_entries(self.table, motion.keys(self.source)):
@@ -218,13 +220,6 @@ class _Converter:
                     self._write(motion, part, clip, folder)
                 except UserError as error:
                     self.left_out[part.name] = str(error)
-
-    def _is_wanted(self, path: Path) -> bool:
-        """Returns whether a file belongs to the import: all do, unless the table is frozen and does not name it."""
-        keys = [key.casefold() for key in Source(path, None).keys(self.source)]
-        names = (entry.file.casefold() for entries in self.table.entries.values() for entry in entries)
-        # A row may name an animation of the file.
-        return not self.options.frozen or any(f"{name}/".startswith(f"{key}/") for name in names for key in keys)
 
     def _parts(self, motion: Source) -> list[TablePart]:
         """Returns the clips that a motion becomes: those of the table, or one with all of it.

@@ -1,7 +1,7 @@
 """Captions of a folder of motion files: from a table, from text files next to them, or from their names."""
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -120,6 +120,12 @@ def captions_within(captions: Iterable[Caption], *, begin: float, seconds: float
     if not kept:
         raise UserError(f"its captions are about none of its {begin + seconds:.2f} s; give times in seconds")
     return tuple(kept)
+
+
+def is_named(table: CaptionTable, keys: Sequence[str]) -> bool:
+    """Returns whether a row of a table calls a file, or an animation in it, by one of some keys."""
+    names = (entry.file.casefold() for entries in table.entries.values() for entry in entries)
+    return any(f"{name}/".startswith(f"{key.casefold()}/") for name in names for key in keys)
 
 
 def unused_entries(table: CaptionTable, motions: Iterable[Source], folder: Path) -> list[str]:
