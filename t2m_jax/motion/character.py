@@ -192,8 +192,8 @@ def load_character(path: Path | str, *, rig: str | None = None) -> Character:
         index = match_clip(clip, table)
         character = Character(path, glb, nodes, saved.rotations, clip, index)
         _check_rest(character, is_given=rig is not None)
-    if table.note:
-        logger.info("%s: %s", path, table.note)
+    for note in filter(None, (*nodes.notes, table.note)):
+        logger.info("%s: %s", path, note)
     return character
 
 
