@@ -14,8 +14,8 @@ from t2m_jax.motion.repetitions import COUNTED_ACTIONS
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling.decode import Codes, decode_motions
 from t2m_jax.sampling.model import ModelParts
+from t2m_jax.text.counts import Times
 from t2m_jax.text.paces import SaidPace
-from t2m_jax.text.quantities import Times
 
 _CANDIDATE_STREAM = 2**30 + 2
 """In place of a sample's number, in keys for the candidates of a motion."""

@@ -16,9 +16,10 @@ from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
+from t2m_jax.text.counts import Times, said_times
 from t2m_jax.text.paces import SaidPace, said_pace
 from t2m_jax.text.prompts import check_prompt
-from t2m_jax.text.quantities import Times, said_seconds, said_times
+from t2m_jax.text.quantities import said_seconds
 from t2m_jax.text.sequence import split_sequence
 
 MAX_SAMPLES = 1_000_000

@@ -14,8 +14,8 @@ from t2m_jax.sampling.decode import Codes
 from t2m_jax.sampling.loop import Given, Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt
+from t2m_jax.text.counts import Times
 from t2m_jax.text.paces import SaidPace
-from t2m_jax.text.quantities import Times
 
 CONTEXT_SECONDS = 0.4
 """Motion before the continuation, which the generator reads as its beginning. With more, a sentence is followed less

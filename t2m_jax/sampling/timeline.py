@@ -19,7 +19,7 @@ from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import KeyBatch, Prompt, batches_of_keys
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.sampling.segments import Segment, most_rows, rows_of_seconds, sample_segments, split_segments
-from t2m_jax.text.quantities import Times
+from t2m_jax.text.counts import Times
 
 SAMPLING_SHARE = 0.7
 """Share of the time for a motion of several sentences that sampling takes; the rest is decoding and the clean-up."""

@@ -1,11 +1,9 @@
 """Whether a sentence says that somebody moves slowly or fast: "walks at a gentle pace", "in a hurry", "dawdles"."""
 
-import itertools
 import re
-from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from t2m_jax.text.verbs import CLAUSE_STARTS, Word, bases_of, word_set, words_of
+from t2m_jax.text.verbs import NEGATION, bases_of, is_negated, word_set, words_of
 
 _Speed = Literal["slow", "fast"]
 
@@ -17,7 +15,7 @@ _FAST = (
     "double|lightning"
 )
 _NOUNS = (
-    "bow|claps?|crawl|dance|gait|gestures?|hops?|jog|jumps?|kicks?|lunges?|motions?|movements?|pace|punch(?:es)?|rate|run|"
+    "bow|claps?|crawl|dance|gait|gestures?|hops?|jabs?|jog|jumps?|kicks?|lunges?|motions?|movements?|pace|punch(?:es)?|rate|run|"
     "skips?|spins?|speed|sprint|squats?|steps?|strides?|stroll|strokes?|swings?|tempo|throws?|turns?|walk|waves?|"
     "fashion|manner|way|bowing|clapping|crawling|jogging|jumping|kicking|punching|running|turning|walking|waving"
 )
@@ -38,8 +36,8 @@ _PACES: dict[_Speed, re.Pattern[str]] = {
         rf"\b(?:slow|leisurely|sluggish|unhurried|drawn-out|languid|lazy)(?:{_MORE})? (?:{_NOUNS})\b",
         rf"\b(?:{_SLOW}) (?:{_SPEEDS})\b",
         rf"\bslow{_ALONE}",
-        r"\bslow[- ]motion\b",
-        r"\bslow(?:ness|[- ]paced)\b",
+        r"\bslow[- ]mo(?:tion)?\b",
+        r"\bslow(?:ness|[- ](?:paced|moving))\b",
         r"\b(?:tak(?:e|es|ing)|took) (?:\w+ ){0,3}(?!(?:a|first|last|more|one|second|third) )\w+ time\b",
         r"\b(?:in|with) no (?:great |particular |real )?(?:hurry|rush|haste)\b",
         r"\bwithout (?:any |much |a )?(?:hurry\w*|rush\w*|haste)\b",
@@ -53,7 +51,8 @@ _PACES: dict[_Speed, re.Pattern[str]] = {
         r"\b(?:quickly|rapidly|swiftly|briskly|hastily|hurriedly|speedily|frantically|quick as|fast as)\b",
         rf"\b(?:fast|quick|rapid|swift|brisk|speedy|hasty|hurried|hectic|frantic)(?:{_MORE})? (?:{_NOUNS})\b",
         rf"\b(?:{_FAST}) (?:{_SPEEDS})\b",
-        rf"\bfast{_ALONE}",
+        rf"(?<!hold )(?<!holds )(?<!held )(?<!stuck )(?<!his )(?<!her )(?<!their )\bfast{_ALONE}",
+        rf"\b(?:real|really|so|super|very) quick{_ALONE}",
         r"\b(?:in|with) (?:such )?(?:an? )?(?:big |great |mad |real |tearing |terrible )?(?:hurry|rush|haste|flash)\b",
         r"\bat speed\b|\bfast[- ]paced\b",
         r"\blike (?:lightning|the wind|mad|crazy)\b",
@@ -73,6 +72,7 @@ _CHANGES = _pattern(
     r"\b(?:accelerat|decelerat)\w*",
     r"\b(?:faster|slower|quicker) and (?:faster|slower|quicker)\b",
     r"\b(?:getting|gets|becomes|becoming|ever) (?:faster|slower|quicker)\b",
+    r"\b(?:slowly|quickly|fast|slow) at first\b",
 )
 """The pace is not the same all the time."""
 _OTHERS = _pattern(
@@ -84,9 +84,7 @@ _OTHERS = _pattern(
     r"\b(?:the|a|an|some|his|her) (?:slow|quick|rapid|fast|swift)(?:ly |-(?!paced))\w+(?:ing|ed)\b",
 )
 """What is said of something else: "as the sun slowly sets", "a quickly spinning wheel"."""
-_NEGATED = re.compile(r"(?:\b(?:not|never|nor|neither|less|without)|n['\u2019]t)(?: [\w-]+){0,3} $", re.IGNORECASE)
-_NEGATIONS = word_set("not never nor neither")
-"""Words before a verb that is not done: "don't rush"."""
+_NEGATED = re.compile(rf"(?:{NEGATION}|\bless|n['\u2019]t)(?: [\w-]+){{0,3}} $", re.IGNORECASE)
 _GAITS = {
     "walk": word_set("amble dawdle march mosey plod saunter step stride stroll trudge walk"),
     "run": word_set("dash jog race run sprint"),
@@ -124,12 +122,6 @@ def said_pace(caption: str) -> SaidPace | None:
 def _is_said(speed: _Speed, text: str) -> bool:
     words = words_of(text)
     verbs = [index for index, word in enumerate(words) if word.action and word.bases & _VERBS[speed]]
-    if not all(_is_negated(words[:index]) for index in verbs):
+    if not all(is_negated(words[:index]) for index in verbs):
         return True
     return any(not _NEGATED.search(text[: found.start()]) for found in _PACES[speed].finditer(text))
-
-
-def _is_negated(before: Sequence[Word]) -> bool:
-    """Returns whether one of the last words of a clause negates the verb after them."""
-    clause = itertools.takewhile(lambda word: word.text not in CLAUSE_STARTS, before[:-4:-1])
-    return any(word.text in _NEGATIONS for word in clause)

@@ -33,7 +33,10 @@ TURNING = word_set("back bend turn")
 _REVERSALS = word_set("180 around back backward backwards opposite")
 _SIDE = re.compile(r"\b(?:left|right|around|corner)\b", re.IGNORECASE)
 
-_NEGATED = re.compile(r"\b(?:not|never)\b|n't\b", re.IGNORECASE)
+_NEGATED = re.compile(r"\b(?:not|never)\b|n't\b|^(?:if|unless)\b", re.IGNORECASE)
+_AT_ONCE = r"(?:meanwhile|simultaneously|at the same time|all the while)\b"
+_TOGETHER = re.compile(rf"{_AT_ONCE}.*|.*[.;,] {_AT_ONCE}", re.IGNORECASE)
+"""A part that begins or ends so is done together with the other."""
 
 
 class _Order(NamedTuple):
@@ -50,6 +53,12 @@ def _order(pattern: str, clause: str = "") -> _Order:
 
 
 _ORDERS = (
+    _order(r"(?P<first>.+?) ?(?:->|=>|\u2192) ?(?P<second>.+)"),
+    _order(r"(?:\d[.)] )?(?P<first>.+?)[,;.]? \d[.)] (?P<second>.+)"),
+    # "Walks in and, before sitting down, waves": what comes later is cut again.
+    _order(rf"(?P<first>.+?){_AND},? (?P<second>(?:{_AFTER}|{_BEFORE}|having) [^,]+, .+)"),
+    _order(r"(?P<second>.+?),? but (?P<first>.+?) first"),
+    _order(rf"(?P<second>.+?)[.;!] {_BEFORE} (?:that|this),? (?P<first>.+)"),
     _order(rf"(?P<second>.+?),? but (?:only )?(?:first|{_BEFORE} that),? (?P<first>.+)"),
     _order(rf"(?P<second>.+?){_AND} {_BEFORE} (?:that|this|which),? (?P<first>.+)"),
     _order(r"(?P<second>.+?), having (?:previously |already |first |just )?(?P<first>.+)", "first"),
@@ -92,7 +101,8 @@ def split_sequence(caption: str, known: Collection[str]) -> tuple[str, ...]:
 
 def _split(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:
     for first, second in _cuts(text.rstrip(". "), is_known):
-        if not only_ends(first, second) and not _NEGATED.search(f"{first} {second}"):
+        is_together = any(map(_TOGETHER.fullmatch, (first, second)))
+        if not (is_together or only_ends(first, second) or _NEGATED.search(f"{first} {second}")):
             yield from _split(first, is_known)
             yield from _split(second, is_known)
             return

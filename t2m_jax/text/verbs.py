@@ -36,12 +36,17 @@ BODY_PARTS = word_set(
 SIDES = frozenset({"left", "right"})
 """Words that are sides in captions, never forms of `leave` or `right`."""
 AUXILIARIES = word_set("am is are was were be been being has have had does did")
-LIGHT_VERBS = word_set("be begin come continue do end finish get have keep let make perform seem start take try use")
+LIGHT_VERBS = word_set(
+    "be begin come continue do end finish get have keep let make need perform please seem start take try use want"
+)
 """Verbs that say nothing about the motion; another word does."""
 PERFORMING_VERBS = word_set("do execute get give make perform take")
 """Verbs whose object is the action: "makes a jump"."""
 GENERIC_NOUNS = word_set("action exercise gesture motion move movement pose position sequence")
 """Nouns that say nothing about the motion."""
+
+NEGATION = r"\b(?:barely|hardly|instead of|neither|never|nobody|nor|not|rather than|without)\b"
+"""Words before something that is not done."""
 
 _TOKENS = re.compile(r"[^\W\d_]+(?:-[^\W\d_]+)*|\d+(?:[.,]\d+)?|[^\w\s'-]")
 
@@ -100,6 +105,12 @@ def forms(word: str) -> frozenset[str]:
 def bases_of(words: Iterable[Word]) -> frozenset[str]:
     """Returns the basic forms of words, and the words."""
     return frozenset().union(*(word.bases for word in words))
+
+
+def is_negated(before: Sequence[Word]) -> bool:
+    """Returns whether one of the last words of a clause says that what comes after them is not done."""
+    clause = itertools.takewhile(lambda word: word.text not in CLAUSE_STARTS, before[:-5:-1])
+    return re.search(NEGATION, " ".join(word.text for word in reversed(list(clause)))) is not None
 
 
 def _actions(clause: Sequence[str]) -> list[str]:

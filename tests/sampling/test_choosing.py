@@ -17,8 +17,8 @@ from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.prompts import Prompt, sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import split_segments
+from t2m_jax.text.counts import Times
 from t2m_jax.text.paces import SaidPace
-from t2m_jax.text.quantities import Times
 from tests import tiny
 
 pytestmark = pytest.mark.slow

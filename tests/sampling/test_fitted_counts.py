@@ -6,7 +6,7 @@ import pytest
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling.choosing import SHORTEST_SECONDS, count_shown, fit_count
-from t2m_jax.text.quantities import Times
+from t2m_jax.text.counts import Times
 
 ROW = 8
 """Frames of a row of codes."""

@@ -6,8 +6,9 @@ import pytest
 import yaml
 
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS
+from t2m_jax.text.counts import said_times
 from t2m_jax.text.prompts import MAX_PROMPT_LENGTH
-from t2m_jax.text.quantities import quantity_words, said_seconds, said_times
+from t2m_jax.text.quantities import quantity_words, said_seconds
 
 SENTENCES = yaml.safe_load(Path(__file__).with_name("quantities.yaml").read_text())
 
@@ -45,6 +46,13 @@ def times_of(caption):
         ("like a man in his 70s", None),
         ("a man in his 30s walks for 5 seconds", 5.0),
         ("walks for 5s looking around", 5.0),
+        ("for two to three seconds", None),
+        ("and doesn't move for 5 seconds", None),
+        ("for 1 min 30 s", 90.0),
+        ("for about a minute", 60.0),
+        ("for the next five seconds", 5.0),
+        ("with five seconds left", None),
+        ("while his friends clap for ten seconds", None),
         ("for 10s showing off", 10.0),
         ("a dance in the 80s style", None),
         ("like a woman in her late 30s", None),
@@ -69,6 +77,20 @@ def test_a_sentence_says_how_long_its_motion_is(words, seconds):
         ("a double clap", ("clap", 2)),
         ("kicks the box three times", ("kick", 3)),
         ("kicks a box three times", ("kick", 3)),
+        ("jumps and spins twice", None),
+        ("turns around twice and sits down", None),
+        ("jumps twice and claps three times", None),
+        ("kicks twice with the left leg and once with the right", ("kick", 3)),
+        ("takes two steps forward and two steps back", ("step", 4)),
+        ("doesn't jump three times", None),
+        ("jumps two or three times", None),
+        ("picks up two boxes", None),
+        ("rides two waves", None),
+        ("falls down ten steps", None),
+        ("twice, she bows", ("bow", 2)),
+        ("jumps ten times, holding a rope", ("jump", 10)),
+        ("raises the arm and lowers it twice", ("raise", 2)),
+        ("while his mother claps four times", None),
         ("kicks big boxes three times", ("kick", 3)),
         ("throws a punch three times", ("punch", 3)),
         ("raises a hand to wave three times", ("wave", 3)),
@@ -92,6 +114,8 @@ def test_a_sentence_says_how_often(caption, times):
 def test_the_side_counts():
     assert said_times("waves twice with the left hand", COUNTED_ACTIONS).sides == {"left"}
     assert said_times("waves twice", COUNTED_ACTIONS).sides == {"left", "right"}
+    assert said_times("throws two right-hand punches", COUNTED_ACTIONS).sides == {"right"}
+    assert said_times("takes two steps to the left", COUNTED_ACTIONS).sides == {"left", "right"}
     assert said_times("kicks left and right three times", COUNTED_ACTIONS).sides == {"left", "right"}
 
 

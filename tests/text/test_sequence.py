@@ -33,6 +33,10 @@ def known():
         "First a man walks, next he waves",
         "a man walks before he waves",
         "before he waves, a man walks",
+        "a man walks -> he waves",
+        "1. a man walks 2. he waves",
+        "he waves. Before that, a man walks",
+        "he waves, but a man walks first",
         "he waves after a man walks",
         "After a man walks, he waves",
         "as soon as a man walks he waves",
@@ -85,6 +89,8 @@ def test_what_is_no_corner_is_an_action(parts, known):
         "he never walks before he waves",
         "walks slowly, dragging his left foot",
         "a man walks while he waves",
+        "a man walks. Meanwhile, he waves",
+        "a man walks; at the same time he waves",
         "raises the right hand and then lowers it",
         "stands up after 8 seconds",
         "lift both arms, and make it look old",
@@ -141,3 +147,16 @@ WORDS = sorted(
 def test_any_words_are_read(known, caption):
     parts = split_sequence(caption, known)
     assert parts == (caption,) or all(part.strip() for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("caption", "parts"),
+    [
+        ("a man walks and, after waving, jumps", ("a man walks", "waving", "jumps")),
+        ("a man walks and, before sitting down, waves", ("a man walks", "waves", "sitting down")),
+        ("a man walks, and once he has waved, he jumps", ("a man walks", "he has waved", "he jumps")),
+        ("a man walks and waves at the same time, then jumps", ("a man walks and waves at the same time", "jumps")),
+    ],
+)
+def test_what_comes_between_is_done_between(caption, parts, known):
+    assert split_sequence(caption, known) == parts

@@ -4,7 +4,7 @@ const LONGEST = 1000; // characters
 const INVISIBLE = /[\u00ad\u200b-\u200d\u2060\ufeff]/gu;
 // Words of an order, a count or a length. Python cuts sentences there, counts and measures, with a dictionary and many samples.
 const LEFT = new RegExp([
-  ";|[.!](?= \\S)|, (?:and )?(?!\\w+(?:ing|ly)\\b)[a-z]+",
+  "[-=]>|\\u2192|;|[.!](?= \\S)|, (?:and )?(?!\\w+(?:ing|ly)\\b)[a-z]+",
   "\\b(?:then|after|afterwards?|subsequently|thereafter|whereupon|before|prior to|upon|as soon as|when|having|followed by)\\b",
   "\\b(?:next(?! to)|finally|lastly|eventually|later|at last|in the end|at the end|until|till?|once|twice|thrice)\\b",
   "\\b(?:single|double|triple|couple|dozen|half|quarter|seconds?|secs?|minutes?|mins?)\\b|\\d+(?!\\d| degrees)",

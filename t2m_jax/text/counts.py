@@ -1,0 +1,210 @@
+"""How often a sentence says that something is done: "kicks twice", "three jumps", "takes four steps"."""
+
+import itertools
+import math
+from collections.abc import Collection, Iterator, Sequence
+from typing import NamedTuple
+
+from t2m_jax.text.numerals import (
+    ADVERBS,
+    NUMBER,
+    SINGULAR,
+    START,
+    ends_range,
+    number_value,
+    pattern,
+    without_others,
+)
+from t2m_jax.text.verbs import (
+    CLAUSE_STARTS,
+    DETERMINERS,
+    LIGHT_VERBS,
+    PERFORMING_VERBS,
+    PREPOSITIONS,
+    SIDES,
+    Word,
+    forms,
+    is_negated,
+    word_set,
+    words_of,
+)
+
+MOST_TIMES = 20
+"""Most times that a sentence can ask for; more are no motion of some seconds."""
+
+_TIMES = pattern(
+    rf"{START}(?:(?P<number>{NUMBER}) (?:times?|reps?|repetitions?)|(?P<adverb>{'|'.join(ADVERBS)})|",
+    "(?P<before>\\d{1,6}) ?[x\u00d7]|[x\u00d7](?P<after>\\d{1,6}))(?![\\w-])",
+)
+_NO_TIMES_AFTER = pattern(r"\b(?:at|all at|every|for|more than|thinks?|thought|was|were) $")
+_COMPARED = pattern(r" (?:as|a|an|per|more|again|faster|slower|longer|bigger|higher|larger|every)\b")
+"""What stands behind words that do not say how often: "twice as fast"."""
+_CLAUSE = pattern(r" (?:the|he|she|it|they|you|his|her|somebody|someone)\b")
+"""What stands behind words that say when, such as "once he sits", or of what, if they do not begin a sentence."""
+_NOUN = pattern(
+    r"(?<!the )(?<!is )(?<!are )(?<!was )(?<!stands )(?<!standing )",
+    rf"{START}(?P<number>{NUMBER})(?: (?:rep|repetition|round)s? of)?(?=(?P<words>(?: [\w-]+){{1,3}}))",
+    r"(?!.* at a time\b)",
+)
+"""A number and the words after it: "takes three big steps". "Sweeps the eight steps" and "is three steps away" say no
+number of times."""
+_ACTS = ("a single", "a double", "a triple")
+"""Numbers of what is done."""
+_THINGS = word_set("box seat")
+"""Nouns that are no actions, although their verbs are."""
+_PLACES = word_set("across at down from into off on onto over through up")
+"""Words before a number of things that are there: "falls down ten steps"."""
+_BENDS = word_set("arc bend circle corner curve loop rotate spin swerve turn veer zigzag")
+"""Words for a path that is not straight."""
+_NO_NOUN = PREPOSITIONS | CLAUSE_STARTS
+_DEFINITE = DETERMINERS - word_set("a an another any no one two three four five six seven eight nine ten")
+"""Words before things that are there: "the box"."""
+_DOING = PERFORMING_VERBS | LIGHT_VERBS | word_set("add attempt complete deliver go land practice repeat show throw")
+"""Verbs whose object is done, not hit: "throws a punch"."""
+_BACK = word_set("drop lower release relax return")
+"""Verbs of the second half of an action: "raises the arm and lowers it twice"."""
+_STAIRS = word_set("ascend climb descend fall")
+"""Verbs before a number of steps that are there."""
+_ABOUT = word_set("about almost approximately around exactly just nearly only roughly")
+_TO_THE = word_set("his her its the their")
+
+
+class Times(NamedTuple):
+    """How often something is done."""
+
+    action: str
+    """Basic form of its verb, such as `wave`."""
+    sides: frozenset[str]
+    """`left`, `right`, or both."""
+    number: int
+
+
+class _Said(NamedTuple):
+    """A number of times that a sentence says."""
+
+    number: str
+    words: str
+    """With the words around it: "three times"."""
+    action: str
+    """What is done so often; empty if that is nothing that is counted."""
+
+
+def said_times(caption: str, countable: Collection[str]) -> Times | None:
+    """Returns how often a sentence says that an action is done; None if it does not say so.
+
+    Of several numbers of the same action, it is the sum: "two kicks with the left leg, then one kick with the right".
+
+    Args:
+        caption: A checked sentence.
+        countable: Basic forms of the verbs that can be counted.
+    """
+    found = _find_counts(caption, countable)
+    action = found[0].action if found else ""
+    count = math.fsum(number_value(said.number) for said in found)
+    words = words_of(caption)
+    # "Four steps in a curve": the motion has to go on until the curve is done.
+    is_path = action == "step" and any(not _BENDS.isdisjoint(word.bases) for word in words)
+    is_counted = action and all(said.action == action for said in found)
+    if not is_counted or not count.is_integer() or not 1 <= count <= MOST_TIMES or is_path:
+        return None
+    return Times(action, _sides(words), int(count))
+
+
+def counting_words(caption: str, countable: Collection[str]) -> frozenset[str]:
+    """Returns the words of a sentence that say how often, in lower case."""
+    is_counted = said_times(caption, countable) is not None
+    found = _find_counts(caption, countable)
+    texts = [said.words for said in found if is_counted or _TIMES.fullmatch(said.words)]
+    return frozenset(word.text for text in texts for word in words_of(text))
+
+
+def _sides(words: Sequence[Word]) -> frozenset[str]:
+    """Returns the sides that words name, both if they name none. "To the left" is a direction."""
+    texts = ["", "", *(text for word in words for text in word.text.split("-"))]
+    places = (place for place, text in enumerate(texts) if text in SIDES)
+    sides = {texts[place] for place in places if not (texts[place - 2] == "to" and texts[place - 1] in _TO_THE)}
+    return frozenset(sides) if len(sides) == 1 else SIDES
+
+
+def _find_counts(caption: str, countable: Collection[str]) -> list[_Said]:
+    """Returns all numbers of times of a sentence, without those of other people."""
+    own = without_others(caption)
+    nouns = dict(_nouns(own, countable))
+    # "Five reps of squats" is found in both ways.
+    return [*nouns.values(), *(said for begin, said in _verbs(own, countable) if begin not in nouns)]
+
+
+def _verbs(caption: str, countable: Collection[str]) -> Iterator[tuple[int, _Said]]:
+    """Yields where a sentence says "three times" or the like, and of what."""
+    for times in _TIMES.finditer(caption):
+        before = caption[: times.start()]
+        after = caption[times.end() :]
+        number = times["number"] or times["adverb"] or times["before"] or times["after"]
+        is_clause = _CLAUSE.match(after) and (before.strip() or number.lower() == "once")
+        if _NO_TIMES_AFTER.search(before) or _COMPARED.match(after) or is_clause:
+            continue
+        if not before.strip() and number.lower() == "once":
+            continue
+        action = _counted(words_of(before), countable)
+        if action is None:  # "twice, she bows"
+            action = next((word.action for word in words_of(after) if word.action), "")
+        is_counted = action in countable and not ends_range(before)
+        yield times.start(), _Said(number, times[0], action if is_counted else "")
+
+
+def _counted(words: Sequence[Word], countable: Collection[str]) -> str | None:
+    """Returns the action of a number of times after words, empty for one that is not counted, None for no action.
+
+    It is the last one: of "jumps and spins twice", nobody knows how often to jump.
+    """
+    thing: str | None = None
+    for index, word in reversed(list(enumerate(words))):
+        counted = {word.action} & set(countable)
+        noun = word.bases & set(countable)
+        if counted or (noun and not _is_thing(words, index, countable)):
+            return "" if is_negated(words[:index]) else min(counted or noun)
+        thing = thing or min(noun, default=None)
+        # "Jumps ten times, holding a box" is about the jump, but "spinning three times" about the spin.
+        is_beside = word.text.endswith("ing") and index < len(words) - 1
+        if word.action and word.action not in _DOING | _BACK and not is_beside:
+            return ""
+    return thing
+
+
+def _is_thing(words: Sequence[Word], index: int, countable: Collection[str]) -> bool:
+    """Returns whether a noun is not what is done: "kicks the box", "jumps off the step", but not "throws a punch"."""
+    if words[index].action:
+        return False
+    for word in words[:index][::-1]:
+        if word.text in _DEFINITE:
+            return True
+        if word.action or word.text in _NO_NOUN:
+            return word.action in countable and word.action not in _DOING
+    return False
+
+
+def _nouns(caption: str, countable: Collection[str]) -> Iterator[tuple[int, _Said]]:
+    """Yields where a sentence has a number before the noun of an action, as "two punches", but not "one hand waves"."""
+    for noun in _NOUN.finditer(caption):
+        for text in itertools.takewhile(lambda text: text not in _NO_NOUN, noun["words"].lower().split()):
+            found = sorted(forms(text) & set(countable))
+            if found and (text == found[0] if noun["number"].lower() in SINGULAR else text.endswith("s")):
+                before = caption[: noun.start()]
+                if found[0] not in _THINGS and (noun["number"].lower() in _ACTS or _is_doing(before, found[0])):
+                    is_done = not is_negated(words_of(before)) and not ends_range(before)
+                    yield noun.start(), _Said(noun["number"], noun["number"], found[0] if is_done else "")
+                break
+
+
+def _is_doing(before: str, action: str) -> bool:
+    """Returns whether a number of nouns after a text is done: "does two jumps", but not "rides two waves"."""
+    words = [word for word in words_of(before) if word.text not in _ABOUT]
+    # "Spins, two kicks and a jump".
+    if not words or before.rstrip().endswith(","):
+        return True
+    if words[-1].text in _NO_NOUN | _PLACES:
+        return words[-1].text not in _PLACES
+    verbs = [word.action for word in words if word.action]
+    if action == "step":
+        return _STAIRS.isdisjoint(verbs[-1:])
+    return not verbs or verbs[-1] == action or verbs[-1] in _DOING
