@@ -19,6 +19,7 @@ from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.joining import join_positions
 from t2m_jax.motion.looping import close_loop, find_loop
 from t2m_jax.motion.mirroring import mirror_caption, mirror_positions
+from t2m_jax.motion.part_captions import fields_within, part_fields
 from t2m_jax.motion.paths import Route, follow, route_along, turned_route
 from t2m_jax.motion.resampling import check_speed, resample_positions
 from t2m_jax.motion.skeleton import HUMANML3D, Skeleton
@@ -123,6 +124,12 @@ class Motion:
         return self.num_frames / self.fps
 
     @property
+    def _parts(self) -> dict[int, str]:
+        """First frame and text of each sentence, also if there is one for the whole motion."""
+        parts = dict(zip(self.part_starts, self.part_captions, strict=True))
+        return parts or ({0: self.caption} if self.caption else {})
+
+    @property
     def rotations(self) -> Float[np.ndarray, "T J 3 3"]:
         """Rotation of each joint relative to its parent, whose rest pose is a T-pose, as BVH files have them.
 
@@ -142,7 +149,8 @@ class Motion:
         cut = {name: part[frames] for name, part in parts.items() if part is not None}
         if not len(cut["positions"]):
             raise UserError(f"motion[{frames.start}:{frames.stop}]: has no frames; the motion has {self.num_frames}")
-        return dataclasses.replace(self, **cut, codes=None, part_starts=(), part_captions=())
+        first, last, _ = frames.indices(self.num_frames)
+        return dataclasses.replace(self, **cut, codes=None, **fields_within(self._parts, first, last))
 
     def trimmed(self, begin: float | None = None, end: float | None = None) -> "Motion":
         """Returns the motion from one time to another in seconds, without codes; None is its own begin or end.
@@ -239,7 +247,8 @@ class Motion:
             UserError: The motion is too short, or no part of it repeats.
         """
         loop = find_loop(self.positions, fps=self.fps)
-        return self._edited(lambda old: close_loop(old, loop, fps=self.fps, skeleton=self.skeleton))
+        parts = fields_within(self._parts, loop.start, loop.end + 1)
+        return self._edited(lambda old: close_loop(old, loop, fps=self.fps, skeleton=self.skeleton), **parts)
 
     def __add__(self, other: "Motion") -> "Motion":
         """Returns this motion and then another, which is turned and moved to where this one ends; see `join_positions`.
@@ -261,8 +270,8 @@ class Motion:
         raw = None
         if self.positions_raw is not None and other.positions_raw is not None:
             raw = join_positions(self.positions_raw, other.positions_raw, **options)
-        caption = ", then ".join(filter(None, (self.caption, other.caption)))
-        return Motion(positions, self.fps, positions_raw=raw, skeleton=self.skeleton, caption=caption)
+        later = {self.num_frames - 1 + start: text for start, text in other._parts.items()}
+        return Motion(positions, positions_raw=raw, **options, **part_fields(self._parts | later))
 
     def _moved(self, route: Route) -> "Motion":
         parts = {"part_starts": self.part_starts, "part_captions": self.part_captions}

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 MAX_PARTS = 1000
@@ -15,6 +15,24 @@ Parts = tuple[tuple[int, str], ...]
 
 _MARK = re.compile(r'[;#] frame (\d{1,9}) \(\d{1,9}\.\d\d s\): ("(?:[^"\\]|\\.)*")')
 _BRACES = str.maketrans({"{": r"\u007b", "}": r"\u007d"})
+
+
+def part_fields(parts: Mapping[int, str]) -> dict[str, Any]:
+    """Returns the fields of a motion with these sentences by first frame; one from the beginning needs no parts."""
+    fields: dict[str, Any] = {"caption": ", then ".join(filter(None, parts.values()))}
+    if list(parts) == [0]:
+        parts = {}
+    return fields | {"part_starts": tuple(parts), "part_captions": tuple(parts.values())}
+
+
+def fields_within(parts: Mapping[int, str], first: int, last: int) -> dict[str, Any]:
+    """Returns the fields of the frames from `first` to before `last`: with the sentences that are shown there."""
+    # Of those that begin before, the last one goes on.
+    shown = {max(start - first, 0): text for start, text in parts.items() if start < last}
+    fields = part_fields(shown)
+    if len(shown) == len(parts):
+        del fields["caption"]  # a motion may have another one than its sentences
+    return fields
 
 
 def parts_note(parts: Parts, *, fps: float) -> str:

@@ -89,11 +89,11 @@ def test_several_captions_in_a_row(tmp_path):
         (",,", "captions.csv:3: file or caption is empty"),
         ("b,he # walks", "captions.csv:3: the caption has a '#'"),
         ("b,?!", "captions.csv:3: the caption '?!' has no words"),
-        ("b,he waves,one,2", "captions.csv:3: 'one' is not a time"),
-        ("b,he waves,1e999,2", "captions.csv:3: '1e999' is not a time"),
-        ("b,he waves,3,1", "captions.csv:3: 3 to 1 s: the end must be after the start"),
-        ("b,he waves,2,2", "captions.csv:3: 2 to 2 s: the end must be after the start"),
-        ("b,he waves,-1,2", "captions.csv:3: -1 to 2 s: the end must be after the start"),
+        ("b,he waves,one,2", "captions.csv:3: start 'one' is not a number of seconds"),
+        ("b,he waves,1e999,2", "captions.csv:3: start '1e999' is not a number of seconds"),
+        ("b,he waves,3,1", "captions.csv:3: 3 to 1 s: the start must be 0 or more, and the end after it"),
+        ("b,he waves,2,2", "captions.csv:3: 2 to 2 s: the start must be 0 or more, and the end after it"),
+        ("b,he waves,-1,2", "captions.csv:3: -1 to 2 s: the start must be 0 or more, and the end after it"),
     ],
 )
 def test_a_broken_row_costs_no_other_row(tmp_path, row, says):
@@ -131,6 +131,27 @@ def test_the_short_name_of_one_file_is_its_path_if_it_has_no_folder(tmp_path):
 def test_times_that_are_not_seconds_are_refused(tmp_path, column):
     with pytest.raises(UserError, match=r"captions\.csv:1: times are seconds, but the column '.*' has others"):
         read(tmp_path, f"file,caption,{column},end\na,{WALK},30,90\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('a,"a person waves",0:00,0:02', "start '0:00' is not a number of seconds"),
+        ("a,a person waves,1s,2s", "start '1s' is not a number of seconds"),
+        ("a,a person waves,0,abc", "end 'abc' is not a number of seconds"),
+        ("a,a person waves,0,3,hello", "has 5 cells, the header 4; quote commas"),
+        ("a,a person waves,-1,2", "-1 to 2 s: the start must be 0 or more"),
+    ],
+)
+def test_what_cannot_be_a_time_is_no_part_of_the_caption(tmp_path, line, said):
+    found, (problem,), _ = read(tmp_path, f"file,caption,start,end\n{line}\n")
+    assert said in problem and found["a"] == []
+
+
+@pytest.mark.parametrize("header", ["caption,caption_2", "Caption,caption 2", "description,Description2"])
+def test_a_first_caption_without_a_number_is_read_too(tmp_path, header):
+    found, problems, _ = read(tmp_path, f"file,{header}\na,{WALK},he goes\nb,{WALK},\n")
+    assert found == {"a": [WALK, "he goes"], "b": [WALK]} and not problems
 
 
 def test_of_times_in_seconds_and_in_frames_those_in_seconds_are_read(tmp_path):

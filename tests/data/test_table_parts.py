@@ -196,3 +196,14 @@ def test_a_row_that_fails_stops_a_frozen_import(source, tmp_path, line, words):
 def test_a_frozen_table_without_any_file_is_an_error(source, tmp_path):
     with pytest.raises(UserError, match="has no file of the table"):
         frozen(source, tmp_path, "absent,walk,ann,train,,a walk,\n")
+
+
+def test_a_file_of_one_frame_is_left_out(source, tmp_path):
+    folder = shutil.copytree(source, tmp_path / "source")
+    text = (folder / "short.bvh").read_text()
+    head, _, frames = text.partition("Frame Time:")
+    head = re.sub(r"Frames:\s*\d+", "Frames: 1", head)
+    (folder / "one.bvh").write_text(f"{head}Frame Time:" + "\n".join(frames.split("\n")[:2]) + "\n")
+    (tmp_path / "table.csv").write_text("file,caption,action\none,a man stands,stand\nlong,a man walks,walk\n")
+    report = import_bvh_folder(folder, tmp_path / "data", captions=tmp_path / "table.csv", split="100/0/0")
+    assert report.num_clips == 2 and "has only one frame" in report.left_out["one"]

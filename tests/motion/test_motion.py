@@ -9,6 +9,7 @@ from t2m_jax.motion import formats
 from t2m_jax.motion.formats import motion_formats, save_motions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import KIT_ML
+from tests.motion.figures import walking_positions
 
 
 def standing(frames=4, joints=22):
@@ -145,3 +146,37 @@ def test_half_characters_in_texts_are_marked(tmp_path):
     for suffix in ("html", "npz", "glb", "bvh"):
         save_motions(tmp_path / f"a.{suffix}", [motion])
     assert Motion(standing(), 20.0, caption="\ud83d\udc4b").caption == "\N{WAVING HAND SIGN}"
+
+
+def chain(**fields):
+    positions = walking_positions(60)
+    parts = {"part_starts": (0, 20, 40), "part_captions": ("he walks", "he waves", "he jumps")}
+    return Motion(positions, 20.0, caption="he walks, then he waves, then he jumps", **parts | fields)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "starts", "caption"),
+    [
+        (0.0, 3.0, (0, 20, 40), "he walks, then he waves, then he jumps"),
+        (None, 1.5, (0, 20), "he walks, then he waves"),
+        (1.5, 2.5, (0, 10), "he waves, then he jumps"),
+        (1.0, 2.0, (), "he waves"),
+    ],
+)
+def test_a_part_of_a_motion_has_its_sentences(begin, end, starts, caption):
+    part = chain().trimmed(begin, end)
+    assert (part.part_starts, part.caption) == (starts, caption)
+    assert part.part_captions == tuple(caption.split(", then ") if starts else ())
+
+
+def test_joined_motions_keep_where_their_sentences_begin():
+    single = Motion(walking_positions(30), 20.0, caption="he runs")
+    joined = single + chain()
+    assert joined.part_starts == (0, 29, 49, 69) and joined.part_captions[0] == "he runs"
+    assert joined.caption == "he runs, then he walks, then he waves, then he jumps"
+    nothing = Motion(walking_positions(30), 20.0) + Motion(walking_positions(30), 20.0)
+    assert (nothing.caption, nothing.part_starts) == ("", ())
+
+
+def test_a_caption_of_ones_own_stays_with_all_sentences():
+    assert chain(caption="a clip").trimmed(0.5).caption == "a clip"

@@ -122,6 +122,8 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
         clip = clip.from_frame(rest)
         steps.append("a rest pose before the motion was cut")
     positions = retarget(clip.resampled(HUMANML3D.fps), rig=table, up=up).positions
+    if len(positions) < 2:
+        raise UserError(f"has only one frame at {HUMANML3D.fps:g} frames per second")
     exchanged = sides_note(positions)
     if exchanged:
         steps.append(f"{exchanged}; see the sheet")

@@ -87,7 +87,7 @@ def with_span(caption: Caption, *, source: str) -> Caption:
         UserError: Its times are no part of a motion.
     """
     if caption.start < 0 or 0 != caption.end <= caption.start:
-        raise UserError(f"{source}: {caption.start:g} to {caption.end:g} s: the end must be after the start")
+        raise UserError(f"{source}: {caption.start:g} to {caption.end:g} s: the start must be 0 or more, and the end after it")
     return caption
 
 
@@ -220,11 +220,10 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     names = [re.sub(r"[\W_]+", "_", cell.strip().lower()).strip("_") for cell in cells]
     found = _find_columns(names)
     # Several captions may be in several columns: caption_1, caption_2.
-    numbered = tuple(
-        place for place, name in enumerate(names) if name.rstrip("0123456789").rstrip("_") in NAMES["caption"]
-    )
+    stems = [name.rstrip("0123456789").rstrip("_") for name in names]
+    counted = {stem for stem, name in zip(stems, names, strict=True) if stem in NAMES["caption"] and stem != name}
     first = () if found["caption"] is None else (found["caption"],)
-    captions = tuple(place for place in numbered if names[place][-1:].isdigit()) or first
+    captions = tuple(place for place, stem in enumerate(stems) if stem in counted) or first
     if found["file"] is None or not captions:
         return None
     times = {role: place for role in ("start", "end") if (place := found[role]) is not None}
@@ -255,6 +254,11 @@ def _is_not_seconds(name: str) -> bool:
     return not NOT_SECONDS.isdisjoint(name.split("_"))
 
 
+def _looks_like_time(cell: str) -> bool:
+    """Returns whether a cell is a time, perhaps one that cannot be read: 1s, 0:02."""
+    return re.fullmatch(r"[+-]?[\d.,:]*\d[.,]?\s*[a-z]{0,12}", cell, re.IGNORECASE) is not None
+
+
 def _is_time(cell: str) -> bool:
     # Spreadsheets of many countries write a comma in place of the point.
     return re.fullmatch(r"[+-]?\d+([.,]\d*)?|[+-]?[.,]\d+|nan|", cell, re.IGNORECASE) is not None
@@ -273,7 +277,7 @@ def _join_commas(cells: list[str], layout: _Layout) -> tuple[list[str], int]:
         joined = [*cells[:caption], f"{layout.delimiter} ".join(cells[caption:end]), *cells[end:]]
         joined += [""] * (layout.width - len(joined))
         times = [joined[place] for place in layout.times.values()]
-        complete = sum(map(bool, times)) in (0, len(times)) and not _is_time(cells[end - 1])
+        complete = sum(map(bool, times)) in (0, len(times)) and not any(map(_looks_like_time, cells[caption + 1 : end]))
         if all(map(_is_time, times)) and (extra == 0 or complete):
             return joined, extra
     return cells, 0
@@ -287,9 +291,10 @@ def _read_entry(place: str, line: str, layout: _Layout) -> tuple[CaptionEntry, i
         return CaptionEntry(place, "", (), f"{place}: is not a row of a table ({error})", {}), 0
     cells += [""] * (layout.width - len(cells))
     joined = 0
-    if len(layout.captions) == 1:
+    # Quotes say where a caption ends, and so do semicolons and tabs, which hardly any caption has.
+    if len(layout.captions) == 1 and layout.delimiter == "," and '"' not in line:
         cells, joined = _join_commas(cells, layout)
-    elif len(cells) > layout.width:
+    if len(cells) > layout.width:
         problem = f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas"
         return CaptionEntry(place, "", (), problem, {}), 0
     times = {role: cells[column].replace(",", ".") for role, column in layout.times.items()}
@@ -313,6 +318,9 @@ def _make_entry(
     if not key or not (said or others.get(ACTION)):
         problem = f"{place}: file or caption is empty; fill in both or remove the line"
         return CaptionEntry(place, key, (), problem, others)
+    for role, time in times.items():
+        if not _is_time(time.strip()):
+            return CaptionEntry(place, key, (), f"{place}: {role} {time!r} is not a number of seconds", others)
     try:
         # The times are read like those of a caption, also if there is none.
         spans = [tagged_caption(text, source=place, **times) for text in said or (others[ACTION],)]
