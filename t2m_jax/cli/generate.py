@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import dataclasses
 import itertools
 import shlex
 import sys
@@ -11,11 +12,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, add_record, add_rig_argument, read_record, show_next
+from t2m_jax.cli.options import add_model_argument, add_record, add_rig_argument, read_record, show_written
 from t2m_jax.cli.view import add_file_arguments, file_options, open_character, save
 from t2m_jax.errors import UserError, one_line
 
 if TYPE_CHECKING:
+    from t2m_jax.motion.changes import Changes
     from t2m_jax.motion.character import Character
     from t2m_jax.motion.motion import Motion
     from t2m_jax.motion.targets import Target
@@ -76,20 +78,20 @@ def run(args: argparse.Namespace) -> None:
     with claim([check_motion_output(_file_of(output, 0, count)) for output in outputs]), warnings.catch_warnings():
         warnings.simplefilter("always", PromptWarning)
         warnings.showwarning = show_warning  # type: ignore[assignment]  # it needs the message only
+        if requests[0].targets and (moved := _changed(changes)):
+            _warn(f"targets are met before these changes, not in the file: {moved}")
         made = TextToMotion.load(args.model).make(*requests)
         told = _show_distances(requests, made) if requests[0].targets else _show_misses(made, said, count=count)
         motions = map(changes.apply, told)
         written = list(_write(motions, options, count, character))
-    pages = [path for path in written if path.suffix == ".html"]
     # The file of a character may have other animations, too.
-    formats = (".npz", ".bvh", ".vrma", *([] if character is not None else [".glb"]))
-    convertible = [path for path in written if path.suffix in formats]
-    if pages:
-        show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
-    elif convertible:
-        show_next(f"t2m view {shlex.quote(str(convertible[0]))} -o motion.html")
-    else:
-        show_next(f"open {shlex.quote(str(written[0]))}")
+    show_written(written, is_glb_read=character is None)
+
+
+def _changed(changes: "Changes") -> str:
+    """Returns the names of changes that move a motion in space or time."""
+    fields = (field for field in dataclasses.fields(changes) if field.name not in ("clean", "fps"))
+    return ", ".join(field.name for field in fields if getattr(changes, field.name) != field.default)
 
 
 def _check_quotes(texts: list[str]) -> None:

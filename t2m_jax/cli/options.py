@@ -1,6 +1,7 @@
 """Options of commands, made from the fields of the library's records, and what several commands share."""
 
 import argparse
+import shlex
 import sys
 import typing
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -155,3 +156,16 @@ def print_columns(lines: Sequence[Sequence[str]]) -> None:
 def show_next(command: str) -> None:
     """Prints the command to run next on standard error, so that standard output stays easy to parse."""
     sys.stderr.write(f"next: {printable(command)}\n")
+
+
+def show_written(files: Sequence[Path], *, is_glb_read: bool) -> None:
+    """Prints how to look at files of motions: `is_glb_read` says whether a `.glb` file among them has one animation."""
+    pages = [path for path in files if path.suffix.lower() == ".html"]
+    formats = (".npz", ".bvh", ".vrma", *([".glb"] if is_glb_read else []))
+    readable = [path for path in files if path.suffix.lower() in formats]
+    if pages:
+        show_next(f"open {shlex.quote(str(pages[0]))} in a browser")
+    elif readable:
+        show_next(f"t2m view {shlex.quote(str(readable[0]))} -o motion.html")
+    else:
+        show_next(f"open {shlex.quote(str(files[0]))}")

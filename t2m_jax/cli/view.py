@@ -1,12 +1,11 @@
 """Converts motion files to other formats. The suffix of each output selects the format."""
 
 import argparse
-import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from t2m_jax.cli.options import add_record, add_rig_argument, option_of, read_record, show_next
+from t2m_jax.cli.options import add_record, add_rig_argument, option_of, read_record, show_written
 from t2m_jax.errors import UserError
 
 if TYPE_CHECKING:
@@ -156,9 +155,4 @@ def run(args: argparse.Namespace) -> None:
         for output in args.outputs:
             save(output, motions, options[output], character)
             print(output)
-    # The next command must read the same animation with the same rig.
-    given = {"--animation": args.animation, "--rig": rig}
-    chosen = [part for pair in given.items() if pair[1] is not None for part in pair]
-    again = ["t2m", "view", *map(str, args.files), *chosen, *(["--join"] if args.join else [])]
-    pages = [output for output in args.outputs if output.suffix == ".html"]
-    show_next(f"open {shlex.quote(str(pages[0]))} in a browser" if pages else f"{shlex.join(again)} -o motion.html")
+    show_written(args.outputs, is_glb_read=character is None and len(motions) == 1)

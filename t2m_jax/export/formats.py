@@ -31,7 +31,8 @@ def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:
         UserError: There is more than one motion, or none.
     """
     if len(motions) != 1:
-        raise UserError(f"{path}: a {path.suffix} file holds exactly one motion, not {len(motions)}; use more files")
+        several = f"a {path.suffix} file holds exactly one motion, not {len(motions)}"
+        raise UserError(f"{path}: {several}; write a file for each, or a .glb or .html file")
     return motions[0]
 
 

@@ -117,7 +117,7 @@ class MotionRequest:
     span: tuple[float, float] | None = None
     """Begin and end of the seconds of `start` that the sentence replaces. If both are the same, it is added there."""
     strength: float | None = None
-    """Share of `start` that is sampled again: 0 changes nothing, and 1 keeps nothing."""
+    """Share of `start` that is sampled again: 0 keeps all of its codes, which give it nearly, and 1 none."""
     seconds: float | None = None
     """Length for each sentence, rounded to whole rows of codes; by default what the sentence says ("for five seconds"),
     else the model decides. With `span`, the length of the new part; by default that of the span."""

@@ -156,7 +156,7 @@ def test_two_files_become_one_motion(walk, tmp_path, capsys):
     expected = (first + Motion.load(second).resampled(first.fps)).trimmed(1.0, None)
     assert expected.num_frames > first.num_frames
     np.testing.assert_allclose(Motion.load(written).positions, expected.positions, atol=1e-6)
-    assert "--join -o motion.html" in capsys.readouterr().err
+    assert f"next: t2m view {written} -o motion.html" in capsys.readouterr().err
 
 
 def test_files_of_two_skeletons_are_not_joined(refusal, walk, tmp_path):

@@ -321,3 +321,9 @@ def test_same_seed_same_files(bundle_folder, tmp_path):
     one, two = np.load(tmp_path / "one.npz"), np.load(tmp_path / "two.npz")
     np.testing.assert_array_equal(one["codes"], two["codes"])
     np.testing.assert_array_equal(one["positions"], two["positions"])
+
+
+def test_changes_that_move_a_motion_away_from_its_targets_have_names():
+    assert generate._changed(Changes(mirror=True, speed=2.0, fps=30.0, clean=True)) == "mirror, speed"
+    assert generate._changed(Changes(end=2.0, path=((0.0, 0.0), (1.0, 1.0)))) == "end, path"
+    assert not generate._changed(Changes(fps=30.0, clean=True))

@@ -15,7 +15,7 @@ def test_view_takes_a_table(nameless, nameless_table, tmp_path, capsys):  # noqa
     assert "nameless.bvh: no known rig has its joints (q0, q1" in capsys.readouterr().err
     assert main(["view", str(nameless), "--rig", str(nameless_table), "-o", str(output)]) == 0
     assert np.abs(load_motion(output).positions - walking_positions(5)).max() < 0.05
-    assert f"--rig {nameless_table}" in capsys.readouterr().err
+    assert f"next: t2m view {output} -o motion.html" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -207,3 +207,11 @@ def test_a_file_of_one_frame_is_left_out(source, tmp_path):
     (tmp_path / "table.csv").write_text("file,caption,action\none,a man stands,stand\nlong,a man walks,walk\n")
     report = import_bvh_folder(folder, tmp_path / "data", captions=tmp_path / "table.csv", split="100/0/0")
     assert report.num_clips == 2 and "has only one frame" in report.left_out["one"]
+
+
+def test_a_row_that_names_a_file_with_animations_is_told_their_names(source, tmp_path):
+    folder = shutil.copytree(source, tmp_path / "source")
+    write_person(folder / "figure.glb", BANDAI, {"Turn": 90.0}, seconds=2.0)
+    (tmp_path / "table.csv").write_text("file,caption\nfigure,a man turns\nlong,a man walks\n")
+    report = import_bvh_folder(folder, tmp_path / "data", captions=tmp_path / "table.csv", split="100/0/0")
+    assert any("write one of them: 'figure/Turn'" in note for note in report.notes)

@@ -151,7 +151,8 @@ def test_half_characters_in_texts_are_marked(tmp_path):
 def chain(**fields):
     positions = walking_positions(60)
     parts = {"part_starts": (0, 20, 40), "part_captions": ("he walks", "he waves", "he jumps")}
-    return Motion(positions, 20.0, caption="he walks, then he waves, then he jumps", **parts | fields)
+    caption = {"caption": "he walks, then he waves, then he jumps"}
+    return Motion(positions, 20.0, **caption | parts | fields)
 
 
 @pytest.mark.parametrize(

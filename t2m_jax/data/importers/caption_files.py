@@ -1,13 +1,16 @@
 """Captions of a folder of motion files: from a table, from text files next to them, or from their names."""
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import NamedTuple
 
 from t2m_jax.data.files import MAX_NAME
 from t2m_jax.data.importers.caption_table import (
     BYTE_ORDER_MARK,
+    CaptionEntry,
     CaptionTable,
     caption_tokens,
     find_entries,
@@ -128,10 +131,22 @@ def is_named(table: CaptionTable, keys: Sequence[str]) -> bool:
     return any(f"{name}/".startswith(f"{key.casefold()}/") for name in names for key in keys)
 
 
-def unused_entries(table: CaptionTable, motions: Iterable[Source], folder: Path) -> list[str]:
+def unused_entries(table: CaptionTable, motions: Collection[Source], folder: Path) -> list[str]:
     """Returns a line for each row that gave no caption: what is wrong with it, or that it names no motion."""
     used = {row.place for motion in motions for row in find_entries(table, motion.keys(folder))}
     rows = [row for same in table.entries.values() for row in same if row.problem or row.place not in used]
     # By the number of the line, because rows of one motion are together in the table.
     rows.sort(key=lambda row: int(row.place.rpartition(":")[2]))
-    return [row.problem or f"{row.place}: there is no motion {row.file}" for row in rows]
+    animations: dict[str, list[str]] = defaultdict(list)
+    for motion in motions:
+        if motion.animation is not None:
+            animations[motion.path.stem.casefold()].append(f"{motion.path.stem}/{motion.animation}")
+    return [row.problem or f"{row.place}: {_absent(row, animations)}" for row in rows]
+
+
+def _absent(row: CaptionEntry, animations: Mapping[str, Sequence[str]]) -> str:
+    """Returns why a row names no motion; `animations` are those of files by their names."""
+    found = animations.get(row.file.rpartition("/")[2].casefold())
+    if found is None:
+        return f"there is no motion {row.file}"
+    return f"{row.file} is a file with animations; write one of them: {shorten(', '.join(map(repr, found)), 200)}"

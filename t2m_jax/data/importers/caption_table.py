@@ -87,7 +87,9 @@ def with_span(caption: Caption, *, source: str) -> Caption:
         UserError: Its times are no part of a motion.
     """
     if caption.start < 0 or 0 != caption.end <= caption.start:
-        raise UserError(f"{source}: {caption.start:g} to {caption.end:g} s: the start must be 0 or more, and the end after it")
+        raise UserError(
+            f"{source}: {caption.start:g} to {caption.end:g} s: the start must be 0 or more, and the end after it"
+        )
     return caption
 
 
