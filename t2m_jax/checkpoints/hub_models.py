@@ -77,6 +77,8 @@ def load_card(name_or_path: str | Path) -> str:
     """
     folder = bundle.bundle_path(name_or_path)
     name = parse_hub_name(name_or_path)
+    if name is None and not folder.is_dir():
+        raise UserError(f"{name_or_path}: no such model; known: {', '.join(bundle.BUNDLED)}, or the folder of a bundle")
     if name is None or folder.exists():
         return load_text(folder / bundle.CARD_FILE)
     copy = _find_copy(name)

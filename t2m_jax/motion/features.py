@@ -39,8 +39,9 @@ _AHEAD = (0.0, 0.0, 1.0)
 def _checked_positions(positions: AnyArray, skeleton: Skeleton) -> AnyArray:
     """Returns `positions` as float32. Raises `UserError` if they cannot be positions of the skeleton."""
     skeleton.check_joints(positions)
-    if positions.ndim < 3 or positions.shape[-3] < 2:
-        raise UserError(f"positions have shape {tuple(positions.shape)}; features need at least 2 frames")
+    frames = 1 if positions.ndim < 3 else positions.shape[-3]
+    if frames < 2:
+        raise UserError(f"a motion of {frames} frames; features need at least 2 frames")
     xp = namespace_of(positions)
     return xp.asarray(positions, dtype=xp.float32)
 

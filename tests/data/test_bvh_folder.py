@@ -155,7 +155,7 @@ def test_broken_tables_name_the_line(tmp_path, content, words):
 
 
 def test_refusals(tmp_path):
-    with pytest.raises(UserError, match=r"no \.bvh, \.glb, \.amc or \.npz files"):
+    with pytest.raises(UserError, match=r"no folder with \.bvh, \.glb, \.amc or \.npz files"):
         import_bvh_folder(tmp_path, tmp_path / "data")
     source = write_clips(tmp_path / "source", ["a"])
     with pytest.raises(UserError, match="none of 1 clips"):

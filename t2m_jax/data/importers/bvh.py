@@ -50,7 +50,7 @@ def find_motion_files(source: Path) -> list[Path]:
     """
     files = sorted(path for path in source.rglob("*") if path.suffix.lower() in SUFFIXES and not _is_other_npz(path))
     if not files:
-        raise UserError(f"{source}: no {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} files below it")
+        raise UserError(f"{source}: is no folder with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} files at any depth")
     return files
 
 
