@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from t2m_jax.text.numerals import (
     ADVERBS,
+    MULTIPLES,
     NUMBER,
     SINGULAR,
     START,
@@ -40,7 +41,7 @@ _NO_TIMES_AFTER = pattern(r"\b(?:at|all at|every|for|more than|thinks?|thought|w
 _COMPARED = pattern(r" (?:as|a|an|per|more|again|faster|slower|longer|bigger|higher|larger|every)\b")
 """What stands behind words that do not say how often: "twice as fast"."""
 _CLAUSE = pattern(r" (?:the|he|she|it|they|you|his|her|somebody|someone)\b")
-"""What stands behind words that say when, such as "once he sits", or of what, if they do not begin a sentence."""
+"""What stands behind words that say when ("once he sits") or, in the middle of a sentence, of what."""
 _NOUN = pattern(
     r"(?<!the )(?<!is )(?<!are )(?<!was )(?<!stands )(?<!standing )",
     rf"{START}(?P<number>{NUMBER})(?: (?:rep|repetition|round)s? of)?(?=(?P<words>(?: [\w-]+){{1,3}}))",
@@ -48,8 +49,6 @@ _NOUN = pattern(
 )
 """A number and the words after it: "takes three big steps". "Sweeps the eight steps" and "is three steps away" say no
 number of times."""
-_ACTS = ("a single", "a double", "a triple")
-"""Numbers of what is done."""
 _THINGS = word_set("box seat")
 """Nouns that are no actions, although their verbs are."""
 _PLACES = word_set("across at down from into off on onto over through up")
@@ -140,10 +139,10 @@ def _verbs(caption: str, countable: Collection[str]) -> Iterator[tuple[int, _Sai
         before = caption[: times.start()]
         after = caption[times.end() :]
         number = times["number"] or times["adverb"] or times["before"] or times["after"]
-        is_clause = _CLAUSE.match(after) and (before.strip() or number.lower() == "once")
-        if _NO_TIMES_AFTER.search(before) or _COMPARED.match(after) or is_clause:
-            continue
-        if not before.strip() and number.lower() == "once":
+        is_first = not before.strip()
+        is_when = number.lower() == "once" and (is_first or _CLAUSE.match(after))
+        is_of_what = not is_first and _CLAUSE.match(after)  # "twice the size"
+        if _NO_TIMES_AFTER.search(before) or _COMPARED.match(after) or is_when or is_of_what:
             continue
         action = _counted(words_of(before), countable)
         if action is None:  # "twice, she bows"
@@ -190,7 +189,7 @@ def _nouns(caption: str, countable: Collection[str]) -> Iterator[tuple[int, _Sai
             found = sorted(forms(text) & set(countable))
             if found and (text == found[0] if noun["number"].lower() in SINGULAR else text.endswith("s")):
                 before = caption[: noun.start()]
-                if found[0] not in _THINGS and (noun["number"].lower() in _ACTS or _is_doing(before, found[0])):
+                if found[0] not in _THINGS and (noun["number"].lower() in MULTIPLES or _is_doing(before, found[0])):
                     is_done = not is_negated(words_of(before)) and not ends_range(before)
                     yield noun.start(), _Said(noun["number"], noun["number"], found[0] if is_done else "")
                 break

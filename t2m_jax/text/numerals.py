@@ -25,7 +25,9 @@ _VALUES = {word: float(number) for number, word in enumerate(_TO_HUNDRED, 1)} | 
 }
 ADVERBS = ("once", "twice", "thrice")
 """Numbers of times that are one word."""
-SINGULAR = ("one", "1", "a single", "a double", "a triple")
+MULTIPLES = ("a single", "a double", "a triple")
+"""Numbers of what is done: "a double kick"."""
+SINGULAR = ("one", "1", *MULTIPLES)
 """Numbers before a noun that is not a plural."""
 # The longest first, so that "half a dozen" is not "half a".
 _WORDS = [word.replace(" ", "[ -]") for word in sorted(_VALUES.keys() - set(ADVERBS), key=len, reverse=True)]

@@ -16,6 +16,8 @@ _TIME = pattern(
     r"(?P<half> and a half)?(?: full| whole| long)?",
     r"(?:[ -]?(?P<unit>seconds?|secs?|minutes?|mins?)|(?<=\d) ?s)\b(?P<later> and a half)?",
 )
+_AND = pattern("(?:,|,? and)? ?")
+"""What stands between minutes and seconds."""
 _NO_LENGTH_AFTER = pattern(
     r"(?<!stop )(?<!stops )(?<!ends )(?<!stopped )(?<!stopping )",
     r"\b(?:after|another|at|before|by|count(?:s|ed|ing)? to|each|every|first|from|(?<!should )last|(?<!for the )next|",
@@ -71,7 +73,7 @@ def _find_length(caption: str) -> list[re.Match[str]]:
     """Returns where a sentence says the length of its motion. Of two times, neither can be it, but for "1 min 30 s"."""
     own = without_others(caption)
     found = [time for time in _TIME.finditer(own) if not _is_decade(time, own)]
-    if len(found) == 2 and pattern("(?:,|,? and)? ?").fullmatch(own[found[0].end() : found[1].start()]):
+    if len(found) == 2 and _AND.fullmatch(own[found[0].end() : found[1].start()]):
         is_one = (found[0]["unit"] or "s")[0] in "mM" and (found[1]["unit"] or "s")[0] in "sS"
     else:
         is_one = len(found) == 1
