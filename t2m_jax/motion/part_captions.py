@@ -17,6 +17,16 @@ _MARK = re.compile(r'[;#] frame (\d{1,9}) \(\d{1,9}\.\d\d s\): ("(?:[^"\\]|\\.)*
 _BRACES = str.maketrans({"{": r"\u007b", "}": r"\u007d"})
 
 
+def with_neighbors(captions: Sequence[str]) -> tuple[str, ...]:
+    """Returns sentences in which an empty one is that before it, or else that after it."""
+    filled = list(captions)
+    for place in range(1, len(filled)):
+        filled[place] = filled[place] or filled[place - 1]
+    for place in reversed(range(len(filled) - 1)):
+        filled[place] = filled[place] or filled[place + 1]
+    return tuple(filled)
+
+
 def part_fields(parts: Mapping[int, str]) -> dict[str, Any]:
     """Returns the fields of a motion with these sentences by first frame; one from the beginning needs no parts."""
     fields: dict[str, Any] = {"caption": ", then ".join(filter(None, parts.values()))}

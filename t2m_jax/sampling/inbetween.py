@@ -185,12 +185,11 @@ def _with_middle(motion: Motion, middle: Middle, frames: Span, prompt: Prompt) -
         # The sentence that the middle interrupts continues after it.
         parts |= {end: [caption for start, caption in old if start <= frames.last][-1]}
         parts |= {start + end - frames.last: caption for start, caption in old if start > frames.last}
-    parts = {start: caption for start, caption in parts.items() if caption}
     return Motion(
         positions,
         motion.fps,
         skeleton=motion.skeleton,
-        caption=", then ".join(parts.values()),
+        caption=", then ".join(filter(None, parts.values())),
         part_starts=tuple(parts),
         part_captions=tuple(parts.values()),
         warning=prompt.warning,

@@ -11,6 +11,7 @@ from typing import Any, Literal
 from t2m_jax.errors import UserError
 from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.motion import Motion
+from t2m_jax.motion.part_captions import with_neighbors
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS
 from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
@@ -140,8 +141,11 @@ class MotionRequest:
         """
         if not self.captions:
             raise UserError("captions: give at least one sentence")
+        captions = sentences(self.captions)
+        if self.strength is not None:  # the parts of a motion may have no sentence
+            captions = with_neighbors(captions)
         # The only way to set a field of a frozen dataclass.
-        object.__setattr__(self, "captions", tuple(check_prompt(caption) for caption in sentences(self.captions)))
+        object.__setattr__(self, "captions", tuple(map(check_prompt, captions)))
         check_seed(self.seed)
         if not (isinstance(self.num_samples, Integral) and 1 <= self.num_samples <= MAX_SAMPLES):
             raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")

@@ -5,7 +5,14 @@ import pytest
 
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.motion import Motion
-from t2m_jax.motion.part_captions import MAX_CAPTION, MAX_PARTS, checked_parts, parts_from_note, parts_note
+from t2m_jax.motion.part_captions import (
+    MAX_CAPTION,
+    MAX_PARTS,
+    checked_parts,
+    parts_from_note,
+    parts_note,
+    with_neighbors,
+)
 from t2m_jax.motion.rig import retarget
 
 from .figures import walking_positions
@@ -83,3 +90,8 @@ def test_hostile_notes_are_cut():
     for unit in ('# frame 1 (0.05 s): "', '; frame 1 (0.05 s): "\\', "\\", '"', "#"):
         note = '# frame 0 (0.00 s): "a"' + unit * 150_000
         assert parts_from_note(note, num_frames=9) in ((), ((0, "a"),))
+
+
+def test_an_empty_sentence_is_that_of_its_neighbor():
+    assert with_neighbors(("", "b", "", "c", "")) == ("b", "b", "b", "c", "c")
+    assert with_neighbors(("", "")) == ("", "") and with_neighbors(()) == ()

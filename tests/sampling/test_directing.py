@@ -123,6 +123,7 @@ def test_a_seed_gives_the_same_motion_again(director):
     assert again.features is not None and again.caption == CAPTION
 
 
+@pytest.mark.release
 def test_other_requests_do_not_change_it(director):
     common = {"captions": (CAPTION,), "targets": targets_from_text("0.3 root=0.1,0.1"), "candidates": 2}
     requests = [MotionRequest(seed=seed, **common) for seed in (1, 2)]

@@ -187,7 +187,9 @@ def test_a_motion_may_have_no_sentence_at_its_beginning(model, walk):
     """Such as one that was continued."""
     chain = dataclasses.replace(walk, part_starts=(48,), part_captions=("c",))
     (redone,) = model.redo(chain, (0.4, 1.2), "b", num_candidates=2)
-    assert redone.part_starts == (8, 48) and redone.part_captions == ("b", "c"), "a variation needs sentences"
+    assert redone.part_starts == (0, 8, 24, 48) and redone.part_captions == ("", "b", "", "c")
+    (varied,) = model.vary(redone, 0.5)
+    assert varied.part_captions == ("b", "b", "b", "c")
 
 
 def test_the_best_middles_come_first(model, walk):

@@ -230,7 +230,7 @@ def test_a_validation_split_of_less_than_a_batch_is_refused_before_training(refu
     assert "do not fill a batch of 32" in refusal(data=runs.data)
 
 
-@pytest.mark.slow
+@pytest.mark.release
 def test_patience_counts_evaluations(training, tmp_path):
     """The metric of a model that stays the same is never better than the first time."""
     config = training("gpt", tmp_path / "run")
