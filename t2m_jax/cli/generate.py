@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, add_record, add_rig_argument, read_record, show_written
+from t2m_jax.cli.options import add_model_argument, add_record, add_rig_argument, option_of, read_record, show_written
 from t2m_jax.cli.view import add_file_arguments, file_options, open_character, save
 from t2m_jax.errors import UserError, one_line
 
@@ -89,9 +89,11 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _changed(changes: "Changes") -> str:
-    """Returns the names of changes that move a motion in space or time."""
+    """Returns the options of changes that move a motion in space or time."""
     fields = (field for field in dataclasses.fields(changes) if field.name not in ("clean", "fps"))
-    return ", ".join(field.name for field in fields if getattr(changes, field.name) != field.default)
+    names = [field.name for field in fields if getattr(changes, field.name) != field.default]
+    # In their order, and each once: --trim sets two fields.
+    return ", ".join(dict.fromkeys("--trim" if name in ("begin", "end") else option_of(name) for name in names))
 
 
 def _check_quotes(texts: list[str]) -> None:

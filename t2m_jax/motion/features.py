@@ -41,7 +41,7 @@ def _checked_positions(positions: AnyArray, skeleton: Skeleton) -> AnyArray:
     skeleton.check_joints(positions)
     frames = 1 if positions.ndim < 3 else positions.shape[-3]
     if frames < 2:
-        raise UserError(f"a motion of {frames} frames; features need at least 2 frames")
+        raise UserError(f"positions of {frames} frame(s); features need at least 2 frames")
     xp = namespace_of(positions)
     return xp.asarray(positions, dtype=xp.float32)
 

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from t2m_jax.text.numerals import (
+    ABOUT,
     ADVERBS,
     MULTIPLES,
     NUMBER,
@@ -64,8 +65,8 @@ _BACK = word_set("drop lower release relax return")
 """Verbs of the second half of an action: "raises the arm and lowers it twice"."""
 _STAIRS = word_set("ascend climb descend fall")
 """Verbs before a number of steps that are there."""
-_ABOUT = word_set("about almost approximately around exactly just nearly only roughly")
 _TO_THE = word_set("his her its the their")
+"""Words between "to" and a side that is a direction: "to the left"."""
 
 
 class Times(NamedTuple):
@@ -97,7 +98,19 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
         caption: A checked sentence.
         countable: Basic forms of the verbs that can be counted.
     """
+    return _times(caption, _find_counts(caption, countable))
+
+
+def counting_words(caption: str, countable: Collection[str]) -> frozenset[str]:
+    """Returns the words of a sentence that say how often, in lower case."""
     found = _find_counts(caption, countable)
+    is_counted = _times(caption, found) is not None
+    texts = [said.words for said in found if is_counted or _TIMES.fullmatch(said.words)]
+    return frozenset(word.text for text in texts for word in words_of(text))
+
+
+def _times(caption: str, found: Sequence[_Said]) -> Times | None:
+    """Returns how often one action is done, None if numbers are about several or about none that is counted."""
     action = found[0].action if found else ""
     count = math.fsum(number_value(said.number) for said in found)
     words = words_of(caption)
@@ -107,14 +120,6 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
     if not is_counted or not count.is_integer() or not 1 <= count <= MOST_TIMES or is_path:
         return None
     return Times(action, _sides(words), int(count))
-
-
-def counting_words(caption: str, countable: Collection[str]) -> frozenset[str]:
-    """Returns the words of a sentence that say how often, in lower case."""
-    is_counted = said_times(caption, countable) is not None
-    found = _find_counts(caption, countable)
-    texts = [said.words for said in found if is_counted or _TIMES.fullmatch(said.words)]
-    return frozenset(word.text for text in texts for word in words_of(text))
 
 
 def _sides(words: Sequence[Word]) -> frozenset[str]:
@@ -197,7 +202,7 @@ def _nouns(caption: str, countable: Collection[str]) -> Iterator[tuple[int, _Sai
 
 def _is_doing(before: str, action: str) -> bool:
     """Returns whether a number of nouns after a text is done: "does two jumps", but not "rides two waves"."""
-    words = [word for word in words_of(before) if word.text not in _ABOUT]
+    words = [word for word in words_of(before) if word.text not in ABOUT]
     # "Spins, two kicks and a jump".
     if not words or before.rstrip().endswith(","):
         return True

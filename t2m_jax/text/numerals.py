@@ -35,6 +35,20 @@ _WORDS = [word.replace(" ", "[ -]") for word in sorted(_VALUES.keys() - set(ADVE
 NUMBER = "|".join([r"\d{1,6}(?:\.\d{1,6}|,(?!\d{3}\b)\d{1,6})?", *_WORDS])
 START = r"(?<![\w.,/-])(?<!hundred )(?<!hundred and )(?<!thousand )"
 """What must be before a number, so that it is not the end of a larger one."""
+ABOUT = (
+    "about",
+    "almost",
+    "approximately",
+    "around",
+    "at least",
+    "exactly",
+    "just",
+    "nearly",
+    "only",
+    "over",
+    "roughly",
+)
+"""Words before a number that do not change it."""
 _OTHERS = r"(?:his|her|its|their|another|the others?|others|everybody|everyone|people|the crowd|the audience)"
 
 

@@ -4,15 +4,14 @@ import re
 from collections.abc import Collection
 
 from t2m_jax.text.counts import counting_words
-from t2m_jax.text.numerals import NUMBER, START, ends_range, number_value, pattern, without_others
-from t2m_jax.text.verbs import word_set, words_of
+from t2m_jax.text.numerals import ABOUT, NUMBER, START, ends_range, number_value, pattern, without_others
+from t2m_jax.text.verbs import bases_of, word_set, words_of
 
 LONGEST = 600.0
 """Longest motion in seconds that a sentence can ask for; more is hardly meant."""
 
-_ABOUT = "(?:about|almost|approximately|around|at least|exactly|just|nearly|only|over|roughly)"
 _TIME = pattern(
-    rf"{START}(?:(?P<number>{NUMBER})|(?:(?<=for )|^)(?:{_ABOUT} )?(?P<a>a))",
+    rf"{START}(?:(?P<number>{NUMBER})|(?:(?<=for )|^)(?:(?:{'|'.join(ABOUT)}) )?(?P<a>a))",
     r"(?P<half> and a half)?(?: full| whole| long)?",
     r"(?:[ -]?(?P<unit>seconds?|secs?|minutes?|mins?)|(?<=\d) ?s)\b(?P<later> and a half)?",
 )
@@ -90,9 +89,7 @@ def _is_length(before: str, after: str, caption: str) -> bool:
 def _is_undone(before: str) -> bool:
     """Returns whether what a length is about is not done. "Does not stop for ten seconds" is done."""
     found = _NO_MOTION.search(before)
-    return found is not None and (_STOPS | _PAUSES).isdisjoint(
-        base for word in words_of(found[0]) for base in word.bases
-    )
+    return found is not None and bases_of(words_of(found[0])).isdisjoint(_STOPS | _PAUSES)
 
 
 def _is_decade(time: re.Match[str], caption: str) -> bool:

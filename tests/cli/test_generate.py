@@ -324,6 +324,6 @@ def test_same_seed_same_files(bundle_folder, tmp_path):
 
 
 def test_changes_that_move_a_motion_away_from_its_targets_have_names():
-    assert generate._changed(Changes(mirror=True, speed=2.0, fps=30.0, clean=True)) == "mirror, speed"
-    assert generate._changed(Changes(end=2.0, path=((0.0, 0.0), (1.0, 1.0)))) == "end, path"
+    assert generate._changed(Changes(mirror=True, speed=2.0, fps=30.0, clean=True)) == "--mirror, --speed"
+    assert generate._changed(Changes(begin=1.0, end=2.0, path=((0.0, 0.0), (1.0, 1.0)))) == "--trim, --path"
     assert not generate._changed(Changes(fps=30.0, clean=True))

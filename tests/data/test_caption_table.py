@@ -148,6 +148,19 @@ def test_what_cannot_be_a_time_is_no_part_of_the_caption(tmp_path, line, said):
     assert said in problem and found["a"] == []
 
 
+@pytest.mark.parametrize(
+    ("line", "caption"),
+    [
+        ("a,he walks 3 steps, 2 steps back", "he walks 3 steps, 2 steps back"),
+        ('a,"a person waves",,,', "a person waves"),
+        ('a,he says "hi", then waves', 'he says "hi", then waves'),
+    ],
+)
+def test_commas_of_a_table_without_times_belong_to_the_caption(tmp_path, line, caption):
+    found, problems, _ = read(tmp_path, f"file,caption\n{line}\n")
+    assert found["a"] == [caption] and not problems
+
+
 @pytest.mark.parametrize("header", ["caption,caption_2", "Caption,caption 2", "description,Description2"])
 def test_a_first_caption_without_a_number_is_read_too(tmp_path, header):
     found, problems, _ = read(tmp_path, f"file,{header}\na,{WALK},he goes\nb,{WALK},\n")

@@ -279,8 +279,9 @@ def _join_commas(cells: list[str], layout: _Layout) -> tuple[list[str], int]:
         joined = [*cells[:caption], f"{layout.delimiter} ".join(cells[caption:end]), *cells[end:]]
         joined += [""] * (layout.width - len(joined))
         times = [joined[place] for place in layout.times.values()]
-        complete = sum(map(bool, times)) in (0, len(times)) and not any(map(_looks_like_time, cells[caption + 1 : end]))
-        if all(map(_is_time, times)) and (extra == 0 or complete):
+        complete = sum(map(bool, times)) in (0, len(times))
+        has_time = bool(times) and any(map(_looks_like_time, cells[caption + 1 : end]))
+        if all(map(_is_time, times)) and (extra == 0 or (complete and not has_time)):
             return joined, extra
     return cells, 0
 
@@ -291,10 +292,13 @@ def _read_entry(place: str, line: str, layout: _Layout) -> tuple[CaptionEntry, i
         cells = _split_line(line, layout.delimiter)
     except csv.Error as error:
         return CaptionEntry(place, "", (), f"{place}: is not a row of a table ({error})", {}), 0
+    while len(cells) > layout.width and not cells[-1]:  # as spreadsheets write them
+        cells.pop()
     cells += [""] * (layout.width - len(cells))
     joined = 0
     # Quotes say where a caption ends, and so do semicolons and tabs, which hardly any caption has.
-    if len(layout.captions) == 1 and layout.delimiter == "," and '"' not in line:
+    has_quotes = re.search(r'(?:^|,)\s*"', line) is not None
+    if len(layout.captions) == 1 and layout.delimiter == "," and not has_quotes:
         cells, joined = _join_commas(cells, layout)
     if len(cells) > layout.width:
         problem = f"{place}: has {len(cells)} cells, the header {layout.width}; quote commas"
