@@ -63,7 +63,7 @@ def test_make_says_what_takes_minutes_before_it_begins(target, tmp_path):
         target,
     ]
     lines = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.splitlines()
-    (number,) = [number for number, line in enumerate(lines) if " pip install " in line]
+    number = next(number for number, line in enumerate(lines) if " pip install " in line)
     assert re.match('echo "Installing .*: a minute or two."', lines[number - 1])
 
 
