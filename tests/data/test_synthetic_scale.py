@@ -99,6 +99,7 @@ def test_too_few_clips_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.release
 @pytest.mark.slow
 def test_from_the_folder_to_a_trained_vqvae_without_a_copy_of_the_frames(folder, tmp_path, caplog):
     config = TrainVqVaeConfig(

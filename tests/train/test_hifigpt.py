@@ -113,8 +113,8 @@ def test_every_command_takes_the_run(both, data, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.slow
-def test_fewer_depths_give_a_coarser_motion(both):
-    model = TextToMotion.load(both / "hifigpt")
+def test_fewer_depths_give_a_coarser_motion():
+    model = TextToMotion(tiny.random_bundle(tiny.HIFIGPT_BUNDLE))
     codes = np.asarray(model.generate("a person walks", seed=2)[0].codes)
     whole = model.decode(codes)
     for depth in (1, 2):

@@ -155,6 +155,7 @@ def test_a_training_that_is_asked_to_stop_loses_no_update(training, tmp_path, na
 
 
 @pytest.mark.slow
+@pytest.mark.release
 @pytest.mark.parametrize("training", ["vqvae"], indirect=True)
 def test_only_one_process_trains_a_run(training, tmp_path):
     first = start(training)
