@@ -59,4 +59,6 @@ for seed in 0 1 2; do
     for rule in argmax threshold; do
         measure hifigpt-rows hifigpt-stop-$rule --stop-rule $rule
     done
+    # Nor does choosing the best of four samples.
+    echo "python docs/measure/candidates.py runs/claims/hifigpt-rows-$seed --track nc --number 4 --num-repeats 3 --json reports/hifigpt-candidates-4-$seed.json"
 done

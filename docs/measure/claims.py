@@ -40,10 +40,11 @@ DIFFERENCES = (
     *(("hifigpt-rows", f"hifigpt-{other}") for other in ("codes", "none")),
     *(("hifigpt-rows", f"hifigpt-guidance-{scale}") for scale in (1, 4)),
     *(("hifigpt-rows", f"hifigpt-stop-{rule}") for rule in ("argmax", "threshold")),
+    ("hifigpt-rows", "hifigpt-candidates-4"),
     *(("hifigpt-rows", f"hifigpt-data-{share}") for share in (0.25, 0.5)),
 )
 """What is compared with what: the claims of the two papers."""
-SAME_TRAININGS = ("hifigpt-guidance-", "hifigpt-stop-")
+SAME_TRAININGS = ("hifigpt-guidance-", "hifigpt-stop-", "hifigpt-candidates-")
 """Names that begin so are measured of the trainings of `hifigpt-rows`, with other options."""
 COMPARED = ("r_precision_1", "fid", "mpjpe_mm", FOLLOWING_COLUMN)
 """By which figures."""

@@ -50,7 +50,10 @@ def _describe_report(path: Path) -> str:
     from t2m_jax.evaluation.prompts.results import load_prompt_report
     from t2m_jax.evaluation.report.record import load_reconstruction, load_report
     from t2m_jax.files.reading import load_json
+    from t2m_jax.motion.formats import motion_formats
 
+    if path.suffix.lower().removeprefix(".") in motion_formats():
+        raise UserError(f"{path}: is a file of motions, which has no checksum; `t2m view` reads those with a skeleton")
     data = load_json(path)
     found = set(data) if isinstance(data, dict) else set()
     if found & {"machine", "format_version"}:

@@ -12,7 +12,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from t2m_jax.cli.options import add_model_argument, add_record, add_rig_argument, option_of, read_record, show_written
+from t2m_jax.cli.options import (
+    add_model_argument,
+    add_record,
+    add_rig_argument,
+    naming_options,
+    option_of,
+    read_record,
+    show_written,
+)
 from t2m_jax.cli.view import add_file_arguments, file_options, open_character, save
 from t2m_jax.errors import UserError, one_line
 
@@ -51,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", action="append", metavar="FILE", help=f"{files} (default: motion.html)")
 
 
+@naming_options()
 def run(args: argparse.Namespace) -> None:
     """Generates, writes the files, and prints their names and the next command."""
     from t2m_jax.files.writing import claim

@@ -1,10 +1,11 @@
 """Options of commands, made from the fields of the library's records, and what several commands share."""
 
 import argparse
+import contextlib
 import shlex
 import sys
 import typing
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -39,7 +40,14 @@ def _path(text: str) -> tuple[tuple[float, float], ...]:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-SHORT: Mapping[str, str] = {"start": "--from", "span": "--redo", "strength": "--vary", "targets": "--at"}
+SHORT: Mapping[str, str] = {
+    "start": "--from",
+    "span": "--redo",
+    "strength": "--vary",
+    "targets": "--at",
+    "begin": "--trim",
+    "end": "--trim",
+}
 """Options that are called otherwise than their fields."""
 TYPES: Mapping[str, Mapping[str, Any]] = {
     "start": {"type": Path, "metavar": "FILE"},
@@ -94,12 +102,21 @@ def read_record(record: type[T], args: argparse.Namespace, **more: Any) -> T:
     # What is not given is left to the record, which has the defaults.
     given = {name: value for name, value in vars(args).items() if value is not None}
     begin, end = given.get("trim", (None, None))
-    try:
+    with naming_options():
         return record_from(record, given | {"begin": begin, "end": end} | more)
+
+
+@contextlib.contextmanager
+def naming_options() -> Iterator[None]:
+    """Lets errors of a block, or of a function, name options that are called otherwise than their fields."""
+    try:
+        yield
     except UserError as error:
-        name, colon, reason = str(error).partition(": ")
+        name, _, reason = str(error).partition(": ")
+        if name not in SHORT:
+            raise
         reason = reason.replace("give it as start", f"give it with {SHORT['start']}")
-        raise UserError(f"{SHORT.get(name, name)}{colon}{reason}") from None
+        raise UserError(f"{SHORT[name]}: {reason}") from None
 
 
 MODEL_HELP = "bundled name, bundle or run folder, or name on the Hugging Face hub: user/name or user/name@revision"

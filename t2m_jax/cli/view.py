@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from t2m_jax.cli.options import add_record, add_rig_argument, option_of, read_record, show_written
+from t2m_jax.cli.options import add_record, add_rig_argument, naming_options, option_of, read_record, show_written
 from t2m_jax.errors import UserError
 
 if TYPE_CHECKING:
@@ -131,6 +131,7 @@ def save(
         save_motions(output, motions, **options)
 
 
+@naming_options()
 def run(args: argparse.Namespace) -> None:
     """Reads the motions, writes all outputs, and prints their names and the next command."""
     from t2m_jax.files.writing import claim

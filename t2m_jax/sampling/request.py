@@ -207,15 +207,19 @@ class MotionRequest:
         return tuple(map(self._note, self.captions))
 
     def _note(self, caption: str) -> str:
-        if self.options.whole or not self.is_bound:
+        if self.options.whole:
             return ""
+        seconds = said_seconds(caption)
         said = {
-            "length": self.seconds is None and said_seconds(caption) is not None,
+            "length": self.seconds is None and seconds is not None,
             "number of times": said_times(caption, COUNTED_ACTIONS) is not None,
             "pace": said_pace(caption) is not None,
         }
-        parts = ", ".join(name for name, is_said in said.items() if is_said)
-        return f"{caption!r}: not followed in a change of a motion or with targets: {parts}" if parts else ""
+        parts = ", ".join(name for name, is_said in said.items() if is_said and self.is_bound)
+        notes = [f"not followed in a change of a motion or with targets: {parts}"] if parts else []
+        if seconds is not None and self.seconds not in (None, seconds):
+            notes.append(f"takes {self.seconds:g} s, as asked for, and not {seconds:g} s")
+        return f"{caption!r}: {'; '.join(notes)}" if notes else ""
 
     def in_turn(self, known: Collection[str]) -> "MotionRequest":
         """Returns the request with a sentence for each action that its sentences say in turn (see `split_sequence`).

@@ -89,11 +89,14 @@ def test_a_bundle_without_checksums_is_not_intact(copy, capsys):
     assert "manifest.txt: there is no such file" in capsys.readouterr().out
 
 
-def test_data_sets_and_other_paths(models, capsys):
+def test_data_sets_and_other_paths(models, capsys, tmp_path):
     assert main(["check", f"{models / 'data'}"]) == 0
     assert "no problems found" in capsys.readouterr().out
     assert main(["check", f"{models / 'nothing'}"]) == 2
     assert "there is no such file or folder" in capsys.readouterr().err
+    (tmp_path / "walk.BVH").touch()
+    assert main(["check", f"{tmp_path / 'walk.BVH'}"]) == 2
+    assert "walk.BVH: is a file of motions, which has no checksum" in capsys.readouterr().err
     assert main(["check", f"{models}"]) == 2
     assert main(["check", "demo"]) == 0
     with pytest.raises(UserError, match="neither a run, a bundle nor an evaluator"):

@@ -126,8 +126,8 @@ def test_a_part_is_kept_and_mirrored(walk, tmp_path, trim, begin, end):
     [
         ("2", "'2' is not BEGIN:END in seconds"),
         ("a:b", "'a:b' is not BEGIN:END in seconds"),
-        ("3:2", "end: 2 is not a number of seconds after begin, 3"),
-        ("-1:2", "begin: -1 is not a number of seconds from 0"),
+        ("3:2", "--trim: 2 is not a number of seconds after begin, 3"),
+        ("-1:2", "--trim: -1 is not a number of seconds from 0"),
     ],
 )
 def test_a_part_that_is_none_is_refused(refusal, walk, tmp_path, trim, message):

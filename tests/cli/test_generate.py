@@ -103,7 +103,7 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
     assert main([*command, "--vary", "0.5", "-o", f"{tmp_path / 'vary.npz'}"]) == 0
     assert load_motion(tmp_path / "vary.npz").caption == "a person waves"
     capsys.readouterr()
-    said = "span: 1 to 9 s is not a part of the time from 0 to 3.0 s, where the motion ends"
+    said = "--redo: 1 to 9 s is not a part of the time from 0 to 3.0 s, where the motion ends"
     assert said in refusal(*command, "--redo", "1:9", "-o", f"{tmp_path / 'x.npz'}")
     assert not (tmp_path / "x.npz").exists()
 
@@ -146,11 +146,11 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--at", "1", "nose=0,1,0"], "targets: nose at 1 s: no such joint; known: pelvis"),
-        (["--at", "soon", "head=0,1,0"], "targets: 'soon head=0,1,0' is not TIME JOINT=X,Y,Z"),
-        (["--at", "1", "head=0,9,0"], "targets: head at 1 s: nobody reaches a height of 9 m"),
-        (["--at", "1", "head=0,1.5,0 exact"], "targets: head at 1 s: cannot be exact; these can: root, "),
-        (["--at", "0.5", "root=0,3"], "targets: root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
+        (["--at", "1", "nose=0,1,0"], "--at: nose at 1 s: no such joint; known: pelvis"),
+        (["--at", "soon", "head=0,1,0"], "--at: 'soon head=0,1,0' is not TIME JOINT=X,Y,Z"),
+        (["--at", "1", "head=0,9,0"], "--at: head at 1 s: nobody reaches a height of 9 m"),
+        (["--at", "1", "head=0,1.5,0 exact"], "--at: head at 1 s: cannot be exact; these can: root, "),
+        (["--at", "0.5", "root=0,3"], "--at: root at 0.5 s: 3 m in 0.5 s is faster than 5 m/s"),
         (["--pose", "soon", "missing.npz"], "--pose soon missing.npz: 'soon' is not a number of seconds"),
         (["--pose", "1", "missing.npz"], "missing.npz"),
         (["--pose", "1", "missing.npz exact"], "missing.npz: "),
@@ -159,7 +159,7 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
             ["--at", "1", "root=0,0", "--seconds", "2"],
             "--at: are for a new motion of one sentence, or a span to redo;",
         ),
-        (["--at", "900", "root=0,0"], "targets: root at 900 s: the longest motion for a sentence has"),
+        (["--at", "900", "root=0,0"], "--at: root at 900 s: the longest motion for a sentence has"),
     ],
 )
 def test_targets_that_are_refused(refusal, bundle_folder, tmp_path, monkeypatch, options, said):

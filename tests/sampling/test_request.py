@@ -127,6 +127,19 @@ def test_a_change_of_a_motion_says_what_it_does_not_follow(bound):
     assert MotionRequest(captions=(caption,), start=WALK).notes == ("",)
 
 
+@pytest.mark.parametrize(
+    ("caption", "seconds", "said"),
+    [
+        ("a person walks for 3 seconds", 5.0, "'a person walks for 3 seconds': takes 5 s, as asked for, and not 3 s"),
+        ("a person walks for 3 seconds", 3.0, ""),
+        ("a person walks for 3 seconds", None, ""),
+        ("a person walks", 5.0, ""),
+    ],
+)
+def test_another_length_than_the_sentence_says_is_told(caption, seconds, said):
+    assert MotionRequest(captions=(caption,), seconds=seconds).notes == (said,)
+
+
 def test_sentences_are_cleaned():
     assert MotionRequest(captions=(" a  person\nwalks ",)).captions == ("a person walks",)
     assert sentences("walk") == ("walk",) and sentences(["walk", "run"]) == ("walk", "run")
