@@ -2,7 +2,7 @@
 # The trainings and measurements that test the claims of both papers on the NC track of the benchmark, three seeds each, by small models.
 #   sh configs/claims/claims.sh            prints the commands
 #   sh configs/claims/claims.sh | sh       runs them, one after the other; add `| grep NAME` to choose
-# On one CPU core, a tokenizer takes 11 minutes with its evaluation (measured), a GPT about 17 and a HiFiGPT about 24 (estimated from some updates and one report).
+# On one CPU core, a tokenizer takes 11 minutes with its evaluation, a GPT about 17, a HiFiGPT about 24, and the best of four samples 12 (measured).
 # In all, about 18 hours of one core. Two at once, each on a core of its own (taskset), take half of that. `python docs/measure/claims.py reports` makes the tables.
 set -eu
 data="--data data/benchmark-nc"
