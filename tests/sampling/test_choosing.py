@@ -18,6 +18,7 @@ from t2m_jax.sampling.prompts import Prompt, sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import split_segments
 from t2m_jax.text.counts import Times
+from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.paces import SaidPace
 from tests import tiny
 
@@ -170,7 +171,9 @@ def test_a_sentence_sets_the_length_of_its_motion(model, words, seconds):
 def test_seconds_count_more_than_words(model):
     request = MotionRequest(captions=("a person walks for 2 seconds",), seconds=3.0)
     assert request.lengths == (3.0,) and not request.is_plain
-    assert next(model.make(request)).num_frames == 60
+    with pytest.warns(PromptWarning, match="takes 3 s, as asked for, and not 2 s"):
+        (motion,) = model.make(request)
+    assert motion.num_frames == 60 and "not 2 s" in motion.warning
 
 
 def test_each_sentence_sets_its_own_length(model):
