@@ -85,7 +85,7 @@ class ChoosingModel(TextToMotion):
         for request in requests:
             several = dataclasses.replace(request, num_samples=self.number)
             motions = list(super().make(several, on_progress=on_progress))
-            codes = [motion.codes for motion in motions if motion.codes is not None]
+            codes = [np.asarray(motion.codes) for motion in motions]
             if max(map(len, codes)) > self.config.generator.max_codes:
                 yield motions[0]
                 continue
