@@ -97,13 +97,12 @@ def read_record(record: type[T], args: argparse.Namespace, **more: Any) -> T:
     """Returns a record with the options that were given, and further fields.
 
     Raises:
-        UserError: A value cannot be used. The message names the option.
+        UserError: A value cannot be used. The message names the field; see `naming_options`.
     """
     # What is not given is left to the record, which has the defaults.
     given = {name: value for name, value in vars(args).items() if value is not None}
     begin, end = given.get("trim", (None, None))
-    with naming_options():
-        return record_from(record, given | {"begin": begin, "end": end} | more)
+    return record_from(record, given | {"begin": begin, "end": end} | more)
 
 
 @contextlib.contextmanager
