@@ -93,17 +93,26 @@ def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
 def find_skeleton(path: Path) -> Path:
     """Returns the ASF file of an AMC file: the only one in its folder, or the one whose name its name begins with.
 
+    Of several such names, the longest is that of its skeleton.
+
     Raises:
-        UserError: There is none, or there are several.
+        UserError: There is none.
     """
     found = sorted(file for file in path.parent.glob("*") if file.suffix.lower() == ".asf")
-    # No letter or digit may follow: 10.asf is not that of 100_01.amc.
-    named = [file for file in found if re.match(rf"{re.escape(file.stem)}(?![^\W_])", path.stem, re.IGNORECASE)]
+    fitting = [file for file in found if _begins_with(path.stem, file.stem)]
+    longest = max((len(file.stem) for file in fitting), default=0)
+    named = [file for file in fitting if len(file.stem) == longest]
     if len(found) != 1 and len(named) != 1:
         problem = "there is no .asf file next to it" if not found else f"no one of {len(found)} .asf files has its name"
         # One wrong choice would give a motion with another person's bones, which nobody would notice.
         raise UserError(f"{path}: {problem}; put the skeleton into its folder, as 02.asf for 02_01.amc")
     return (named if len(named) == 1 else found)[0]
+
+
+def _begins_with(name: str, start: str) -> bool:
+    """Returns whether a name begins with a whole word or number: 10_01 does with 10, waltz1 with waltz, 100_01 not."""
+    more = r"\d" if start[-1:].isdigit() else r"[^\W\d_]"
+    return re.match(rf"{re.escape(start)}(?!{more})", name, re.IGNORECASE) is not None
 
 
 def _transform(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.errors import UserError
-from t2m_jax.motion.amc import load_amc
+from t2m_jax.motion.amc import find_skeleton, load_amc
 from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.rig import retarget
 from t2m_jax.motion.rig.orientation import left_is_left
@@ -95,6 +95,28 @@ def test_a_longer_number_is_another_name(tmp_path):
     (tmp_path / "100.asf").rename(tmp_path / "20.asf")
     with pytest.raises(UserError, match=r"100_01\.amc: no one of 2 \.asf files has its name"):
         load_amc(path)
+
+
+@pytest.mark.parametrize(
+    ("motion", "skeletons", "found"),
+    [
+        ("charleston1", ("backflip", "charleston"), "charleston"),
+        ("walk1", ("walk", "walk1", "walk10"), "walk1"),
+        ("02_01", ("02", "02_01", "2"), "02_01"),
+        ("02_walk", ("02", "03"), "02"),
+        ("Walk-1", ("walk", "wal"), "walk"),
+        ("walking", ("walk", "run"), None),
+        ("100_01", ("10", "1"), None),
+    ],
+)
+def test_of_several_skeletons_the_longest_whole_name_is_used(tmp_path, motion, skeletons, found):
+    for name in skeletons:
+        (tmp_path / f"{name}.asf").touch()
+    if found is None:
+        with pytest.raises(UserError, match=r"no one of 2 \.asf files has its name"):
+            find_skeleton(tmp_path / f"{motion}.amc")
+    else:
+        assert find_skeleton(tmp_path / f"{motion}.amc") == tmp_path / f"{found}.asf"
 
 
 def test_a_motion_may_have_another_unit_of_angles_than_its_skeleton(tmp_path):
