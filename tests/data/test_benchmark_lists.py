@@ -12,6 +12,7 @@ from t2m_jax.config import load_config
 from t2m_jax.data.captioning.held_out import fingerprint, held_out_fingerprints
 from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
 from t2m_jax.data.folder import DatasetInfo
+from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.data.importers.caption_files import clip_name
 from t2m_jax.evaluation.benchmark import TRACKS
 from t2m_jax.motion.mirroring import mirror_caption
@@ -109,10 +110,30 @@ def test_the_tables_are_the_frozen_ones(track):
     assert digest([name for name in TABLES if track == "nc" or name != NC]) == TRACKS[track].lists
 
 
-def test_the_script_imports_all_tables_with_licenses():
+def script_imports():
+    """Returns what the script imports: name of the table, folder below that of the archives, and information."""
     script = (FOLDER / "data.sh").read_text(encoding="utf-8").splitlines()
-    imports = [line.split()[1:] for line in script if line.strip().startswith("import ")]
-    assert {name for name, _, _ in imports} == set(TABLES)
-    for name, _, info in imports:
+    return [line.split()[1:] for line in script if line.strip().startswith("import ")]
+
+
+def test_the_script_imports_all_tables_with_licenses():
+    assert {name for name, _, _ in script_imports()} == set(TABLES)
+    for name, _, info in script_imports():
         found = load_config(REPOSITORY / "configs" / "data" / f"{info}.yaml", DatasetInfo)
         assert found.licence and ("NC" in found.licence) == (name == NC)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        pytest.param(name, folder, marks=[pytest.mark.release] * (name != "cmu-misc"), id=name)
+        for name, folder, _ in script_imports()
+    ],
+)
+def test_every_row_of_a_table_gives_a_clip(name, folder, shared_data, tmp_path):
+    archive, _, below = folder.partition("/")
+    table = FOLDER / f"{name}.csv"
+    # With `frozen`, a row without a clip is an error.
+    report = import_bvh_folder(shared_data(archive) / below, tmp_path / "data", captions=table, frozen=True)
+    assert report.num_frames > 0
