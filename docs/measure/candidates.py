@@ -12,7 +12,6 @@ import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -57,8 +56,6 @@ def fit(
 @dataclasses.dataclass(frozen=True)
 class BestOfSeveral(Generation):
     """Motion that a model generates, of which the best sample is kept."""
-
-    kind: ClassVar[str] = "generated"
 
     number: int
     """Samples of each motion."""

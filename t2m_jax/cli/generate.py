@@ -102,7 +102,7 @@ def _changed(changes: "Changes") -> str:
     fields = (field for field in dataclasses.fields(changes) if field.name not in ("clean", "fps"))
     names = [field.name for field in fields if getattr(changes, field.name) != field.default]
     # In their order, and each once: --trim sets two fields.
-    return ", ".join(dict.fromkeys("--trim" if name in ("begin", "end") else option_of(name) for name in names))
+    return ", ".join(dict.fromkeys(map(option_of, names)))
 
 
 def _check_quotes(texts: list[str]) -> None:

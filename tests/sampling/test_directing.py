@@ -136,7 +136,7 @@ def test_other_requests_do_not_change_it(director):
 def test_no_motion_ends_before_its_last_target(director):
     size = director.config.tokenizer.downsample
     longest = director.config.generator.max_codes * size / 20.0
-    for seconds in (0.1, longest - 0.25):
+    for seconds in (0.1, longest / 2, longest - 0.25):
         (motion,) = director.direct(CAPTION, [f"{seconds} root=0,0"], num_candidates=2)
         assert motion.seconds >= seconds + 0.2
     with pytest.raises(UserError, match=rf"the longest motion for a sentence has {longest:.1f} s"):
