@@ -35,12 +35,12 @@ def check_shares(config: Any, *names: str, with_one: bool = True) -> None:
             raise ValueError(f"{name}: {value} is not a number from 0 to {'' if with_one else 'below '}1")
 
 
-def check_seed(seed: int) -> None:
+def check_seed(seed: int, name: str = "seed") -> None:
     """Raises `UserError` if a seed is not a whole number from 0 to 2**32 - 1: keys of JAX ignore the bits above."""
     if not isinstance(seed, Integral):
-        raise UserError(f"seed: {seed!r} is not a whole number")
+        raise UserError(f"{name}: {seed!r} is not a whole number")
     if not 0 <= seed < 2**32:
-        raise UserError(f"seed: {seed} is not between 0 and {2**32 - 1}")
+        raise UserError(f"{name}: {seed} is not between 0 and {2**32 - 1}")
 
 
 def check_limits(config: Any, **limits: int) -> None:

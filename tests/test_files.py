@@ -37,6 +37,13 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path):
     assert names(tmp_path) == ["a.txt"] and path.read_text() == "new"
 
 
+def test_the_folder_of_the_user_is_not_replaced(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match="is the folder that you are in"), atomic_folder(Path()):
+        raise AssertionError
+    assert names(tmp_path) == []
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
 def test_a_full_disk_is_one_line(tmp_path, number):
     for opened in (atomic_file, atomic_folder):

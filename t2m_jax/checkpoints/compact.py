@@ -19,7 +19,7 @@ from t2m_jax.checkpoints.sentence import (
     load_sentence_encoder,
     used_arrays,
 )
-from t2m_jax.errors import UserError
+from t2m_jax.errors import UserError, naming
 from t2m_jax.files.arrays import read_arrays, save_weights
 from t2m_jax.files.reading import load_json
 from t2m_jax.files.writing import atomic_folder, save_json, save_text
@@ -52,7 +52,10 @@ def save_compact_encoder(folder: Path, source: Path) -> None:
     tokenizer = load_json(source / TOKENIZER_FILE)
     if tokenizer["model"].get("type") != "WordPiece":
         raise UserError(f"{source / TOKENIZER_FILE}: is not a WordPiece tokenizer; only those can be made smaller")
-    kept = kept_tokens(tokenizer["model"]["vocab"], special={token["content"] for token in tokenizer["added_tokens"]})
+    special = {token["content"] for token in tokenizer.get("added_tokens", ())}
+    kept = kept_tokens(tokenizer["model"]["vocab"], special=special)
+    with naming(source / TOKENIZER_FILE):
+        words = json.dumps(_renumbered(tokenizer, list(kept)), ensure_ascii=False, separators=(",", ":"))
     arrays = used_arrays(read_arrays(source / WEIGHTS_FILE))
     arrays[TOKEN_TABLE] = arrays[TOKEN_TABLE][list(kept.values())]
     arrays[POSITION_TABLE] = arrays[POSITION_TABLE][:NUM_POSITIONS]
@@ -64,7 +67,6 @@ def save_compact_encoder(folder: Path, source: Path) -> None:
         for name in (MODULES_FILE, POOLING_FILE):
             save_json(partial / name, load_json(source / name))
         save_json(partial / LENGTH_FILE, length)
-        words = json.dumps(_renumbered(tokenizer, list(kept)), ensure_ascii=False, separators=(",", ":"))
         save_text(partial / TOKENIZER_FILE, words)
         save_weights(partial / WEIGHTS_FILE, quantize_rows(arrays))
 
@@ -97,12 +99,22 @@ def quantize_rows(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _renumbered(tokenizer: dict[str, Any], tokens: list[str]) -> dict[str, Any]:
-    """Returns a tokenizer with some of its tokens, numbered from 0."""
+    """Returns a tokenizer with some of its tokens, numbered from 0.
+
+    Raises:
+        UserError: What adds the marks at both ends of a sentence is of an unknown kind.
+    """
     numbers = {token: number for number, token in enumerate(tokens)}
-    for token in tokenizer["added_tokens"]:
+    for token in tokenizer.get("added_tokens", ()):
         token["id"] = numbers[token["content"]]
-    for token in (tokenizer["post_processor"] or {}).get("special_tokens", {}).values():
-        token["ids"] = [numbers[name] for name in token["tokens"]]
+    marks = tokenizer["post_processor"]
+    if marks["type"] == "TemplateProcessing":
+        for token in marks["special_tokens"].values():
+            token["ids"] = [numbers[name] for name in token["tokens"]]
+    elif marks["type"] == "BertProcessing":
+        marks |= {end: [marks[end][0], numbers[marks[end][0]]] for end in ("cls", "sep")}
+    else:
+        raise UserError(f"adds marks to sentences by {marks['type']}; it cannot be made smaller")
     # The encoder pads and cuts captions itself.
     model = tokenizer["model"] | {"vocab": numbers}
     return tokenizer | {"model": model, "padding": None, "truncation": None}

@@ -58,8 +58,8 @@ def _pack_evaluator(args: argparse.Namespace, run_folder: Path, destination: Pat
     """Writes the folder of an evaluator with the best weights of its run."""
     from t2m_jax.checkpoints import load_trained_evaluator, save_evaluator
 
-    if args.card or args.push or args.export_official:
-        raise UserError(f"{run_folder}: is an evaluator; --card, --push and --export-official are for models")
+    if args.card or args.push or args.private or args.export_official:
+        raise UserError(f"{run_folder}: is an evaluator; --card, --push, --private, --export-official are for models")
     save_evaluator(destination, load_trained_evaluator(run_folder))
     sys.stdout.write(f"{destination}\n")
     show_next(shlex.join(["t2m", "check", f"{destination}"]))

@@ -9,6 +9,7 @@ from tqdm import tqdm
 from t2m_jax.data.checks import check_feature_dim
 from t2m_jax.data.folder import Dataset
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_seed
 from t2m_jax.files.markdown import markdown_table
 from t2m_jax.motion.features import bone_vectors, positions_from_bones, positions_from_features
 from t2m_jax.motion.motion import Motion
@@ -59,8 +60,10 @@ def evaluate_inbetween(
         seed: Start of every random choice.
 
     Raises:
-        UserError: The data do not fit the model, or no clip is long enough and has a caption.
+        UserError: The data do not fit the model, no clip is long enough and has a caption, or the seed is not from 0 to
+            2**32 - 1.
     """
+    check_seed(seed)
     check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
     least = round((seconds + 2 * AROUND_SECONDS) * dataset.skeleton.fps)
     clips = [clip for clip in dataset.clips(split, min_frames=least) if clip.captions]

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from t2m_jax.data.files import MIRROR_PREFIX, SPLITS
 from t2m_jax.data.folder import Dataset
+from t2m_jax.errors import UserError
 from t2m_jax.export.render.figure import Roles, is_mirrored, roles_from_skeleton
 from t2m_jax.files.template import fill_template
 from t2m_jax.files.writing import save_text
@@ -57,6 +58,8 @@ def save_contact_sheet(
 def _card(dataset: Dataset, name: str, *, split: str, roles: Roles) -> str:
     """Returns the poses, the name and the captions of a clip."""
     features = dataset.features(name)
+    if not len(features):
+        raise UserError(f"{dataset.folder}: clip {name} has no frames; remove it from the lists of the splits")
     seconds = len(features) / dataset.info.fps
     captions = "".join(f"<li>{html.escape(caption.text)}</li>" for caption in dataset.captions(name)[:3])
     frames = np.linspace(0, len(features) - 1, NUM_POSES).round().astype(int)

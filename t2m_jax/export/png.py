@@ -44,8 +44,10 @@ def save_png(path: Path, motions: Sequence[Motion]) -> None:
     A contact sheet has a row of poses per motion, at equal time steps.
 
     Raises:
-        UserError: There are more than `MAX_ROWS` motions.
+        UserError: There are no motions, or more than `MAX_ROWS`.
     """
+    if not motions:
+        raise UserError(f"{path}: there is no motion to draw; give at least one")
     if len(motions) > MAX_ROWS:
         raise UserError(f"{path}: {len(motions)} motions are too many for a contact sheet; give at most {MAX_ROWS}")
     # A single motion has room for its paths, which tell more than a row of poses.

@@ -14,6 +14,7 @@ from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.texts import Caption, format_caption
 from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_folder, write_clip
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling.pipeline import TextToMotion
@@ -36,13 +37,15 @@ def write_replay(
         seed: Draws the sentences, and motion.
 
     Raises:
-        UserError: There are no sentences, one has a `#`, the number is not from 1 to `MAX_NEW_CLIPS`, or the
-            destination exists.
+        UserError: There are no sentences, one has a `#`, the number is not from 1 to `MAX_NEW_CLIPS`, the
+            seed of a repetition is not from 0 to 2**32 - 1, or the destination exists.
     """
     known = list(dict.fromkeys(sentences or (model.training_data or {}).get("captions", ())))
     if not known:
         raise UserError("the model has no record of its captions; give sentences (`--sentences FILE`)")
     check_count("num-clips", num_clips, least=1)
+    check_seed(seed)
+    check_seed(seed + (num_clips - 1) // len(known))  # of the last repetition
     for sentence in known:  # before hours of sampling
         format_caption(Caption(sentence))
     known = [known[place] for place in np.random.default_rng(seed).permutation(len(known))]

@@ -79,13 +79,13 @@ def load_bytes(path: Path, *, max_bytes: int = sys.maxsize) -> bytes:
 
 
 def load_text(path: Path, *, max_bytes: int = MAX_TEXT) -> str:
-    """Returns the text of a UTF-8 file.
+    """Returns the text of a UTF-8 file, without the mark that some editors put at its beginning.
 
     Raises:
         UserError: The file is missing, cannot be read, is not UTF-8 or is larger than `max_bytes`.
     """
     with reading(path, max_bytes=max_bytes):
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     return text  # noqa: RET504 - for mypy, a `return` inside `with` may not be reached
 
 

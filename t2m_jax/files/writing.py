@@ -98,6 +98,8 @@ def claim(outputs: Iterable[Path]) -> Iterator[None]:
 
 def check_new(path: Path) -> None:
     """Raises `UserError` if a folder to write exists already. An empty folder may be replaced."""
+    if not path.name:
+        raise UserError(f"{path}: is the folder that you are in, or a whole disk; give the name of a new folder")
     if path.exists() and not (path.is_dir() and next(path.iterdir(), None) is None):
         raise UserError(f"{path}: exists already; choose another folder or remove it")
 

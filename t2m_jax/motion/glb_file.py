@@ -1,9 +1,10 @@
 """The two chunks of a GLB file (glTF 2.0 in one binary file): a tree in JSON, and the numbers of its arrays."""
 
 import contextlib
+import itertools
 import json
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -121,7 +122,14 @@ def check_motions(path: Path, motions: Sequence[Motion]) -> None:
         raise UserError(f"{path}: there is no motion to write; give at least one")
     other = [motion.skeleton.name for motion in motions if motion.skeleton.joint_names != HUMANML3D.joint_names]
     if other:
-        raise UserError(f"{path}: GLB files are written for the skeleton {HUMANML3D.name}, not {other[0]}")
+        kind = path.suffix[1:].upper()
+        raise UserError(f"{path}: {kind} files are written for the skeleton {HUMANML3D.name}, not {other[0]}")
+
+
+def free_name(name: str, taken: Container[str], mark: str = " ", *, first: int) -> str:
+    """Returns a name or, if it is taken, the name with the mark and the first number from `first` on that is free."""
+    numbered = (f"{name}{mark}{number}" for number in itertools.count(first))
+    return next(one for one in itertools.chain([name], numbered) if one not in taken)
 
 
 class GlbWriter:
@@ -163,7 +171,7 @@ class GlbWriter:
             extras |= {"part_starts": motion.part_starts, "part_captions": motion.part_captions}
         times = self.add(np.arange(motion.num_frames) / motion.fps)
         animation = {
-            "name": title if title not in taken else f"{title} {number}",
+            "name": free_name(title, taken, first=number),
             "channels": [
                 {"sampler": sampler, "target": {"node": track.node, "path": track.path}}
                 for sampler, track in enumerate(tracks)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_bytes
-from t2m_jax.motion.glb_file import GlbChunks, own_extra, read_accessor, reading_glb, split_chunks
+from t2m_jax.motion.glb_file import GlbChunks, free_name, own_extra, read_accessor, reading_glb, split_chunks
 from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_nodes, rest_clip
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
@@ -132,7 +132,7 @@ def _titles(animations: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, A
     found: dict[str, Mapping[str, Any]] = {}
     for number, animation in enumerate(animations):
         name = str(animation.get("name") or f"animation_{number}")
-        found[name if name not in found else f"{name}_{number}"] = animation
+        found[free_name(name, found, "_", first=number)] = animation
     return found
 
 

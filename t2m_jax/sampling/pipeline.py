@@ -14,6 +14,7 @@ from t2m_jax.checkpoints.hub_models import push_model
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.targets import Target, read_target
 from t2m_jax.sampling.compilation import use_compilation_cache
@@ -84,8 +85,7 @@ class TextToMotion:
 
     def __repr__(self) -> str:
         """Returns sizes, data, license, source and what the model knows, in some lines."""
-        lines = self.parts.describe()
-        return "\n".join([f"{type(self).__name__}:", *(f"  {name}: {line}" for name, line in lines.items())])
+        return "\n  ".join([f"{type(self).__name__}:", *map(": ".join, self.parts.describe().items())])
 
     @property
     def variables(self) -> dict[str, Any]:
@@ -156,6 +156,7 @@ class TextToMotion:
         Raises:
             UserError: The request does not fit the model, or it cannot be made in pieces.
         """
+        check_seed(sample, "sample")
         if request.is_bound:
             raise UserError("stream: a change of a motion, or one with targets, has no pieces; use make")
         request = request.in_turn(self.knowledge.actions)
@@ -183,8 +184,7 @@ class TextToMotion:
             on_progress: As in `make`.
             **options: Of `SamplingOptions`, such as `temperature=0.7`.
         """
-        counts = {"seed": seed, "num_samples": num_samples}
-        return list(self.generate_each(captions, on_progress=on_progress, **counts, **options))
+        return list(self.generate_each(captions, seed=seed, num_samples=num_samples, on_progress=on_progress, **options))
 
     def generate_each(
         self,

@@ -152,6 +152,8 @@ def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
     elif path.suffix == ".npy":
         # `mean.npy` and `std.npy`, or `Mean.npy` and `Std.npy` as in HumanML3D.
         std_name = path.name.replace("mean", "std").replace("Mean", "Std")
+        if std_name == path.name:
+            raise UserError(f"statistics: {path} has no `mean` in its name; give mean.npy, with std.npy beside it")
         normalizer = normalizer_from_files(path, path.with_name(std_name))
     # The original's folders of checkpoints; on a disk that ignores case, `Mean.npy` would be found as well.
     elif (path / "mean.npy").is_file() and not (path / "Mean.npy").is_file():

@@ -43,8 +43,9 @@ def test_the_copy_has_8_bits_and_the_same_tokens(copy):
     assert other.encode(CAPTIONS[0]).ids[0] == other.token_to_id("[CLS]")
 
 
-def test_special_tokens_may_have_any_numbers(copy, tmp_path):
-    """Here, tokens are numbered from the end, after one of another script."""
+@pytest.mark.parametrize("kind", ["TemplateProcessing", "BertProcessing"])
+def test_special_tokens_may_have_any_numbers(copy, tmp_path, kind):
+    """Here, tokens are numbered from the end, after one of another script. Older files say the marks in another way."""
     source = copy_encoder(BERT, tmp_path / "source")
     tokenizer = json.loads((source / "tokenizer.json").read_text(encoding="utf-8"))
     last = len(tokenizer["model"]["vocab"])
@@ -54,6 +55,9 @@ def test_special_tokens_may_have_any_numbers(copy, tmp_path):
         token["id"] = last - token["id"]
     for token in tokenizer["post_processor"]["special_tokens"].values():
         token["ids"] = [last - number for number in token["ids"]]
+    if kind == "BertProcessing":
+        marks = {end: [token, numbers[token]] for end, token in (("cls", "[CLS]"), ("sep", "[SEP]"))}
+        tokenizer["post_processor"] = {"type": kind, **marks}
     (source / "tokenizer.json").write_text(json.dumps(tokenizer), encoding="utf-8")
     arrays = load_file(source / "model.safetensors")
     table = arrays[TOKEN_TABLE][:last]
@@ -63,6 +67,14 @@ def test_special_tokens_may_have_any_numbers(copy, tmp_path):
     save_compact_encoder(tmp_path / "small", source)
     one, other = (PretrainedTextEncoder(load_sentence_encoder(folder)) for folder in (copy, tmp_path / "small"))
     np.testing.assert_allclose(one(CAPTIONS[:6]), other(CAPTIONS[:6]), atol=1e-6)
+
+
+def test_marks_of_an_unknown_kind_are_refused(tmp_path):
+    source = copy_encoder(BERT, tmp_path / "source")
+    marks = json.loads((source / "tokenizer.json").read_text(encoding="utf-8"))["post_processor"]
+    change_json(source / "tokenizer.json", post_processor={"type": "Sequence", "processors": [marks]})
+    with pytest.raises(UserError, match="adds marks to sentences by Sequence; it cannot be made smaller"):
+        save_compact_encoder(tmp_path / "small", source)
 
 
 def test_other_scripts_are_left_out_and_numbered_anew():

@@ -2,6 +2,7 @@
 
 import csv
 import random
+import shutil
 from collections import Counter
 
 import numpy as np
@@ -12,6 +13,7 @@ from t2m_jax.data.captioning.captions import Labels
 from t2m_jax.data.composing import turns
 from t2m_jax.data.composing.at_once import LEGS, draw_at_once, put_on_legs
 from t2m_jax.data.composing.compose import compose_dataset
+from t2m_jax.data.composing.extra import EXTRA_PREFIXES
 from t2m_jax.data.composing.lasting import draw_lasting, with_length
 from t2m_jax.data.composing.pieces import REACH, drawn_weights, make_library
 from t2m_jax.data.composing.repeated import borders, count_times, draw_repeated, repeat
@@ -237,6 +239,15 @@ def test_labels_are_needed_and_nothing_is_composed_twice(data, tmp_path):
     (tmp_path / "new" / "index.csv").unlink()
     with pytest.raises(UserError, match="no training clip has a label"):
         compose_dataset(tmp_path / "new", tmp_path / "other", timed=1)
+
+
+@pytest.mark.parametrize("kind", sorted(EXTRA_PREFIXES))
+def test_what_was_made_of_one_clip_is_not_composed_twice(data, tmp_path, kind):
+    copy = shutil.copytree(data, tmp_path / "copy")
+    with (copy / "train.txt").open("a") as names:
+        names.write(f"\n{kind}_walk\n")
+    with pytest.raises(UserError, match=f"{kind}_walk is composed already"):
+        compose_dataset(copy, tmp_path / "other", turns=1)
 
 
 def test_actions_of_labels():

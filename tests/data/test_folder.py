@@ -157,6 +157,14 @@ def test_no_folder_no_list_and_strange_names_are_user_errors(folder, tmp_path):
         open_dataset(folder).clips("dev")
 
 
+def test_the_mark_that_some_editors_write_first_is_no_part_of_a_name_or_a_caption(folder):
+    (*_, name) = names = open_dataset(folder).names("train")
+    caption = open_dataset(folder).captions(name)[0]
+    for path in (folder / "train.txt", folder / "texts" / f"{name}.txt"):
+        path.write_text(path.read_text(), encoding="utf-8-sig")
+    assert open_dataset(folder).names("train") == names and open_dataset(folder).captions(name)[0] == caption
+
+
 @pytest.mark.parametrize(("fps", "shown"), [("-5", "-5.0"), ("0.0", "0.0"), (".inf", "inf"), ("1000.5", "1000.5")])
 def test_impossible_rates_are_refused_in_one_line(folder, capsys, fps, shown):
     info = folder / "dataset.yaml"

@@ -45,8 +45,9 @@ def test_the_run_of_an_evaluator_is_packed(tmp_path, capsys):
     packaged = f"{evaluator_path('benchmark-free')}"
     assert main(["bundle", packaged, f"{tmp_path / 'mine'}"]) == 0
     assert load_trained_evaluator(tmp_path / "mine").fingerprint == FINGERPRINTS["benchmark-free"]
-    assert main(["bundle", packaged, f"{tmp_path / 'other'}", "--card", "card.md"]) == 2
-    assert "--card, --push and --export-official are for models" in capsys.readouterr().err
+    for option in (["--card", "card.md"], ["--private"]):
+        assert main(["bundle", packaged, f"{tmp_path / 'other'}", *option]) == 2
+        assert "--card, --push, --private, --export-official are for models" in capsys.readouterr().err
 
 
 def test_lengths_of_embeddings_do_not_change_the_normalized_distance():

@@ -69,3 +69,5 @@ def test_a_model_is_measured_on_the_clips_that_are_long_enough(model, tmp_path, 
     assert figures.generated == figures.real != figures.interpolated
     with pytest.raises(UserError, match="split train has no clip of 10040 frames with a caption"):
         evaluate_inbetween(model, dataset, split="train", seconds=500.0, num_clips=2)
+    with pytest.raises(UserError, match="seed: -1 is not between"):
+        evaluate_inbetween(model, dataset, split="train", seconds=0.4, num_clips=2, seed=-1)

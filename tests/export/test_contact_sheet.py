@@ -1,12 +1,15 @@
 """The page that shows what was imported."""
 
 import re
+import shutil
 
+import numpy as np
 import pytest
 
 from t2m_jax.cli.main import main
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.importers.synthetic import write_synthetic_dataset
+from t2m_jax.errors import UserError
 from t2m_jax.export import contact_sheet
 from t2m_jax.export.contact_sheet import NUM_POSES, save_contact_sheet
 from t2m_jax.motion.bvh import save_bvh
@@ -47,3 +50,11 @@ def test_a_large_data_set_is_shown_in_part(dataset, tmp_path, monkeypatch):
     main(["data", "sheet", str(dataset.folder), "-o", str(tmp_path / "part.html")])
     page = (tmp_path / "part.html").read_text()
     assert page.count("<article>") == 5 and "5 of them are shown" in page and ": 20 clips" in page
+
+
+def test_a_clip_without_frames_is_named(dataset, tmp_path):
+    copy = shutil.copytree(dataset.folder, tmp_path / "data")
+    name = dataset.names("train")[0]
+    np.save(copy / "new_joint_vecs" / f"{name}.npy", np.zeros((0, 263), np.float32))
+    with pytest.raises(UserError, match=f"clip {name} has no frames"):
+        save_contact_sheet(tmp_path / "sheet.html", open_dataset(copy))

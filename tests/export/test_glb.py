@@ -201,6 +201,13 @@ def test_animations_of_two_armatures_keep_their_names(tmp_path):
     assert [motion.animation for motion in found] == ["Armature|walk", "Hips|walk", "a|b", "b"]
 
 
+def test_motions_with_one_caption_are_all_read_again(tmp_path):
+    motions = [make(seed=seed, caption=caption) for seed, caption in enumerate(("a 3", "a", "a", "a"))]
+    save_glb(tmp_path / "a.glb", motions)
+    found = load_gltf(tmp_path / "a.glb")
+    assert list(found) == ["a 3", "a", "a 4", "a 5"] and {clip.caption for clip in found.values()} == {"a 3", "a"}
+
+
 @pytest.mark.parametrize("caption", ["", 'ein Mann läuft \N{WAVING HAND SIGN} "quoted" \\ </script>', "\u2028" * 50])
 def test_one_frame_and_any_caption(tmp_path, caption):
     make(caption=caption)[:1].save(tmp_path / "a.glb")

@@ -67,6 +67,8 @@ def test_a_motion_without_limbs_or_with_one_frame(kit_walk):
 def test_a_sheet_of_too_many_motions_is_refused(tmp_path):
     with pytest.raises(UserError, match=r"101 motions are too many for a contact sheet; give at most 100"):
         save_png(tmp_path / "a.png", [make("walk")] * 101)
+    with pytest.raises(UserError, match="there is no motion to draw"):
+        save_png(tmp_path / "a.png", [])
 
 
 def test_view_shows_several_files(tmp_path, capsys):

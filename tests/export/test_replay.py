@@ -53,6 +53,14 @@ def test_a_model_without_captions_needs_sentences(tmp_path):
     assert not (tmp_path / "old").exists()
 
 
+@pytest.mark.parametrize(("seed", "wrong"), [(-1, -1), (2**32 - 2, 2**32)])
+def test_seeds_of_all_repetitions_are_checked_first(model, tmp_path, seed, wrong):
+    """Seven clips of three sentences have three seeds."""
+    with pytest.raises(UserError, match=f"seed: {wrong} is not between"):
+        write_replay(model, tmp_path / "old", num_clips=7, seed=seed)
+    assert not (tmp_path / "old").exists()
+
+
 def test_the_command(tmp_path, capsys):
     (tmp_path / "sentences.txt").write_text("a person walks forward\n\n  someone waves \n")
     command = ["data", "replay", f"{tmp_path / 'old'}", "--num-clips", "4"]

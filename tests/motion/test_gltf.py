@@ -277,3 +277,13 @@ def test_only_the_animation_that_is_asked_for_is_read(tmp_path, monkeypatch):
     with pytest.raises(UserError, match=r"has several animations; choose one of a, Armature\|b, c"):
         load_glb_file(path)
     assert read == ["Armature|b"]
+
+
+def test_animations_of_one_name_are_all_read(tmp_path):
+    writer, root, _ = arm()
+    for name, degrees in (("a", 10), ("a_2", 20), ("a", 30), ("a", 40)):
+        writer.animation(name, [(root, "rotation", [0, 1], about_y([0, degrees]), "LINEAR", "f4")])
+    clips = load_gltf(writer.save(tmp_path / "arm.glb"))
+    assert list(clips) == ["a", "a_2", "a_3", "a_4"]
+    ends = [clip.positions[-1, clip.joint_names.index("Hand"), 2] for clip in clips.values()]
+    assert np.all(np.diff(ends) < 0), "each is another motion"

@@ -68,6 +68,7 @@ def test_what_cannot_be_streamed_is_refused(model):
         ({"caption": " "}, "caption|text|prompt"),
         ({"caption": "walk", "max_codes": 99}, "max-codes: 99"),
         ({"caption": "walk", "seed": -1}, "seed"),
+        ({"caption": "walk", "sample": -1}, "sample: -1"),
         ({"caption": "walk", "guidance_scale": float("nan")}, "guidance-scale: nan"),
     ):
         with pytest.raises(UserError, match=message):

@@ -116,6 +116,13 @@ def test_data_of_another_width(refusal, copy):
     assert "251 features per frame, but the" in line and "reads 263" in line
 
 
+def test_statistics_without_their_other_half(runs, tmp_path):
+    config = vqvae_training(runs.data, tmp_path / "run")
+    with pytest.raises(UserError, match=r"Std\.npy has no `mean` in its name"):
+        train(dataclasses.replace(config, statistics=f"{runs.data / 'Std.npy'}"))
+    assert not (tmp_path / "run").exists()
+
+
 def test_data_that_are_not_there(refusal, tmp_path):
     assert f"{tmp_path / 'nowhere'}: no data set here" in refusal(tmp_path / "nowhere")
 

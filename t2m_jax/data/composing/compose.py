@@ -18,7 +18,14 @@ from t2m_jax.data.captioning.sequences import (
 )
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.composing.at_once import draw_at_once
-from t2m_jax.data.composing.extra import Composed, NewClip, write_new_clip, write_slow_clips, write_stand_clips
+from t2m_jax.data.composing.extra import (
+    EXTRA_PREFIXES,
+    Composed,
+    NewClip,
+    write_new_clip,
+    write_slow_clips,
+    write_stand_clips,
+)
 from t2m_jax.data.composing.lasting import draw_lasting
 from t2m_jax.data.composing.pieces import REACH, Library, drawn_weights, join_pieces, make_library
 from t2m_jax.data.composing.repeated import draw_repeated
@@ -86,7 +93,7 @@ def compose_dataset(source: str | Path, destination: str | Path, **options: Any)
         raise UserError(f"{dataset.folder}: no training clip has a label in index.csv that can be put into words")
     splits = read_splits(dataset)
     names = [name for members in splits.values() for name in members]
-    prefixes = {kind.prefix for kind in KINDS.values()}
+    prefixes = EXTRA_PREFIXES | {kind.prefix for kind in KINDS.values()}
     if composed := [name for name in names if name.partition("_")[0] in prefixes]:
         raise UserError(f"{dataset.folder}: {composed[0]} is composed already; compose the data set it was made of")
     with new_folder(destination) as folder, map_in_processes(given.workers) as run_all:

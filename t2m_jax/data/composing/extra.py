@@ -43,6 +43,10 @@ MOST_OF_A_STYLE = 12
 """Clips of a style from which motions of standing still are made."""
 VARIANTS = 4
 """Motions of standing still that are made of each."""
+EXTRA_PREFIXES = frozenset(
+    f"{kind}{number + 1}" for kind, count in ((STAND, VARIANTS), ("slow", SLOW_VARIANTS)) for number in range(count)
+)
+"""What the names of such clips begin with."""
 
 
 class Composed(NamedTuple):

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from t2m_jax.data.files import MAX_NAME
 from t2m_jax.data.importers.caption_table import (
-    BYTE_ORDER_MARK,
     CaptionEntry,
     CaptionTable,
     caption_tokens,
@@ -85,7 +84,7 @@ def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_nam
     captions = [caption for row in rows for caption in row.captions]
     beside = motion.path.with_suffix(".txt")
     is_read = motion.animation is None and beside.is_file()
-    text = load_text(beside).removeprefix(BYTE_ORDER_MARK) if is_read else ""
+    text = load_text(beside) if is_read else ""
     for number, line in enumerate(text.split("\n"), start=1):
         place = f"{beside}:{number}"
         if line.count("#") == 3:

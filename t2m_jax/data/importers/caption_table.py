@@ -16,8 +16,6 @@ from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text
 
-BYTE_ORDER_MARK = "\ufeff"
-"""Some editors and spreadsheets write it at the beginning of a UTF-8 file."""
 MAX_COLUMNS = 1000
 """Most columns of a table; a spreadsheet of captions has some tens."""
 DELIMITERS = (",", ";", "\t", "|")
@@ -117,7 +115,7 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
     """
     if not path.is_file():
         raise UserError(f"{path}: no such file; give a .csv with file,caption or a .txt with 'file: caption' lines")
-    lines = load_text(path).removeprefix(BYTE_ORDER_MARK).split("\n")
+    lines = load_text(path).split("\n")
     numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
     columns: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

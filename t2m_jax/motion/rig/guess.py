@@ -1,6 +1,10 @@
 """The best guess of a table for a rig that is not known by name, for a person to check."""
 
-from t2m_jax.errors import UserError
+import math
+
+import yaml
+
+from t2m_jax.errors import UserError, printable
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.orientation import left_is_left
 from t2m_jax.motion.rig.recognition import guess_table
@@ -27,14 +31,19 @@ def rig_table_text(clip: RigClip, *, source: str) -> str:
     ]
     for joint in HUMANML3D.joint_names:
         if joint in table:
-            lines.append(f'{joint}: "{table[joint]}"')
+            lines.append(f"{joint}: {_quoted(table[joint])}")
         else:
             needed = "may be missing" if joint in OPTIONAL_JOINTS else "NEEDED, none was recognized"
             lines.append(f"# {joint}:  # {needed}")
     names = clip.with_end_sites().joint_names
     # A person who corrects a line needs to know what else there is.
     unused = [name for name in names if name not in table.values() and not name.endswith("End Site")]
-    return "\n".join([*lines, f"# Other joints of the file: {', '.join(unused)}"]) + "\n"
+    return "\n".join([*lines, f"# Other joints of the file: {printable(', '.join(unused))}"]) + "\n"
+
+
+def _quoted(name: str) -> str:
+    """Returns a name as YAML between quotes, with escapes where it needs them."""
+    return yaml.safe_dump(name, default_style='"', allow_unicode=True, width=math.inf).strip()
 
 
 def _check(clip: RigClip, table: dict[str, str]) -> str:

@@ -98,7 +98,7 @@ def resolve_rig(rig: RigLike) -> Rig:
         return make_rig(rig, name="the given rig")
     if rig in RIGS:
         return RIGS[rig]
-    if not rig.endswith((".yaml", ".yml")):
+    if not rig.lower().endswith((".yaml", ".yml")):
         raise UserError(f'unknown rig "{rig}"; known are {", ".join(RIGS)}, or give a .yaml file')
     return load_rig(rig)
 

@@ -47,6 +47,14 @@ def test_an_unknown_rig_gets_a_table_that_works(biped, tmp_path, capsys):
     assert abs(motion.positions - walking_positions(20)).max() < 0.01
 
 
+@pytest.mark.parametrize("mark", ["\\", '"', "'", ": #", "é"])
+def test_names_of_joints_may_have_any_characters(biped, tmp_path, capsys, mark):
+    biped.write_text(biped.read_text().replace("Bip01 ", f"Bip01{mark}"))
+    main(["data", "rig", str(biped), "-o", str(tmp_path / "rig.yaml")])
+    motion = retarget(load_bvh(biped), rig=str(tmp_path / "rig.yaml"))
+    assert abs(motion.positions - walking_positions(20)).max() < 0.01
+
+
 def test_exchanged_sides_are_said(biped, capsys):
     text = biped.read_text().replace(" L ", " X ").replace(" R ", " L ").replace(" X ", " R ")
     biped.write_text(text)

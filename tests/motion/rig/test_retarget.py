@@ -129,6 +129,8 @@ def test_a_users_table_is_read_from_yaml(tmp_path):
     path.write_text("".join(f"{joint}: {sources[0]}\n" for joint, sources in USER_TABLE.items()))
     np.testing.assert_array_equal(retarget(clip, rig=str(path)).positions, retarget(clip, rig=USER_TABLE).positions)
     assert load_rig(path).name == str(path)
+    capitals = path.replace(tmp_path / "RIG.YAML")
+    np.testing.assert_array_equal(retarget(clip, rig=str(capitals)).positions, retarget(clip, rig=USER_TABLE).positions)
 
 
 def test_unknown_rigs_and_joints_are_named(tmp_path):
