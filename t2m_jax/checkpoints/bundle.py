@@ -32,7 +32,7 @@ from t2m_jax.files.reading import load_json, load_text
 from t2m_jax.files.writing import atomic_folder, save_json, save_text
 from t2m_jax.keys import new_key
 from t2m_jax.models.caption_encoder import CaptionEncoderConfig, init_network
-from t2m_jax.models.system import find_generator_config, find_tokenizer_config, variable_shapes
+from t2m_jax.models.system import find_part, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, save_normalizer
 from t2m_jax.motion.skeleton import skeleton_from_name
 from t2m_jax.text.bpe import TOKENIZER_FILE, load_bpe, save_bpe
@@ -59,9 +59,9 @@ class BundleConfig:
     """Layout of the folder."""
     skeleton: str = "humanml3d"
     """Name of the skeleton of the motion."""
-    tokenizer: Annotated[Any, Tagged(find_tokenizer_config)]
+    tokenizer: Annotated[Any, Tagged(lambda kind: find_part(kind, "tokenizer").config)]
     """Sizes of the tokenizer."""
-    generator: Annotated[Any, Tagged(find_generator_config)]
+    generator: Annotated[Any, Tagged(lambda kind: find_part(kind, "generator").config)]
     """Sizes of the generator."""
     text_encoder: Annotated[Any, Tagged(find_text_encoder_config)] = CaptionEncoderConfig()
     """Sizes of the network that is trained with the generator, and the name of a pretrained encoder; one or both."""

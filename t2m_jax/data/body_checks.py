@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.mirroring import mirror_positions
-from t2m_jax.motion.rotations import unit_vectors
+from t2m_jax.motion.rotations import turned_about_y, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
 NUM_POSES = 8
@@ -146,10 +146,7 @@ def check_twin(original: ClipBody, twin: ClipBody, skeleton: Skeleton) -> list[s
     real = np.sum(image[..., ::2] * twin.poses[..., ::2], axis=(1, 2))
     cross = image[..., 2] * twin.poses[..., 0] - image[..., 0] * twin.poses[..., 2]
     angle = np.arctan2(cross.sum(axis=1), real)[:, None]
-    x = image[..., 0] * np.cos(angle) + image[..., 2] * np.sin(angle)
-    z = image[..., 2] * np.cos(angle) - image[..., 0] * np.sin(angle)
-    distances = np.linalg.norm(np.stack([x, image[..., 1], z], axis=-1) - twin.poses, axis=-1)
-    far = float(distances.max())
+    far = float(np.linalg.norm(turned_about_y(image, angle) - twin.poses, axis=-1).max())
     return [] if far <= TWIN_METERS else [f"is not the mirror image of the clip, but up to {far:.2f} m from it"]
 
 

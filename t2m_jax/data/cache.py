@@ -316,6 +316,4 @@ def _write_clips(file: BinaryIO, folder: Path, names: frozenset[str], *, feature
         if problems:
             broken_captions[name] = len(problems)
     write_header(file, (sum(length for _, length, _ in clips), feature_dim), np.float32)
-    file.flush()
-    os.fsync(file.fileno())
     return {"clips": clips, "left_out": left_out, "broken_captions": broken_captions}

@@ -14,14 +14,13 @@ from t2m_jax.data.texts import Caption, read_captions
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_array
 from t2m_jax.motion.features import local_positions, positions_from_features
+from t2m_jax.motion.motion import MAX_METERS
 from t2m_jax.motion.skeleton import Skeleton
 
 MAX_JOINT_SPEED = 30.0
 """Meters per second; no limb moves faster."""
 FLOOR_RANGE = (-0.1, 0.5)
 """Height in meters that the lowest joint of a clip may have."""
-MAX_METERS = 1e6
-"""Farthest place of a joint; squares of larger numbers overflow."""
 
 
 class AuditedClip(NamedTuple):

@@ -15,6 +15,7 @@ from t2m_jax.files.template import fill_template
 from t2m_jax.files.writing import save_text
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.skeleton import Skeleton
+from t2m_jax.motion.travel import above_origin
 
 MAX_CLIPS = 200
 """Most clips on a sheet; browsers are slow with more. Of a larger data set, they are evenly spread over the names."""
@@ -72,7 +73,7 @@ def _card(dataset: Dataset, name: str, *, split: str, roles: Roles) -> str:
 
 def _on_screen(positions: Float[np.ndarray, "P J 3"], skeleton: Skeleton) -> Float[np.ndarray, "P J 2"]:
     """Returns poses side by side in centimeters, x to the right and y down, the floor at 0."""
-    x, y, z = np.moveaxis(positions - positions[:, :1] * np.array([1.0, 0.0, 1.0], np.float32), -1, 0)
+    x, y, z = np.moveaxis(above_origin(positions), -1, 0)
     if is_mirrored(skeleton):
         x = -x
     across = x * np.cos(CAMERA_TURN) - z * np.sin(CAMERA_TURN)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from t2m_jax.metrics.positions import Positions, joint_errors
+from t2m_jax.motion.features import bone_vectors, facing
 from t2m_jax.motion.skeleton import Skeleton
 
 CONTACT_HEIGHT = 0.05
@@ -118,9 +119,8 @@ def _mean_difference(positions: Positions, mask: Bool[Array, "B T"], *, order: i
 
 
 def _bone_variation(positions: Positions, mask: Bool[Array, "B T"], skeleton: Skeleton) -> Float[Array, " B"]:
-    bones = positions[:, :, 1:] - positions[:, :, jnp.array(skeleton.parents[1:])]
     frames = mask[:, :, None]
-    lengths = jnp.linalg.norm(bones, axis=-1)
+    lengths = jnp.linalg.norm(bone_vectors(positions, skeleton), axis=-1)
     count = jnp.maximum(jnp.sum(frames, axis=1), 1)
     mean = jnp.sum(jnp.where(frames, lengths, 0.0), axis=1) / count
     squares = jnp.where(frames, (lengths - mean[:, None]) ** 2, 0.0)
@@ -139,9 +139,8 @@ def _floor(heights: Float[Array, "B T F"], mask: Bool[Array, "B T"]) -> Float[Ar
 
 def _headings(positions: Positions, skeleton: Skeleton) -> Float[Array, "B T"]:
     """Returns the angle from +Z to the forward direction of hips and shoulders, in radians."""
-    right_hip, left_hip, right_shoulder, left_shoulder = (positions[:, :, joint] for joint in skeleton.face_joints)
-    across = (right_hip - left_hip) + (right_shoulder - left_shoulder)
-    return jnp.arctan2(across[..., 2], -across[..., 0])
+    forward = facing(positions, skeleton)
+    return jnp.arctan2(forward[..., 0], forward[..., 2])
 
 
 def _from_first_frame(positions: Positions, skeleton: Skeleton) -> Positions:

@@ -159,16 +159,6 @@ def find_part(kind: str, role: Role | None = None) -> Part:
     return part
 
 
-def find_tokenizer_config(kind: str) -> type:
-    """Returns the config class of a kind of tokenizer."""
-    return find_part(kind, "tokenizer").config
-
-
-def find_generator_config(kind: str) -> type:
-    """Returns the config class of a kind of generator."""
-    return find_part(kind, "generator").config
-
-
 def make_module(config: PartConfig) -> Any:
     """Returns the Linen module of a part's config."""
     return find_part(config.kind).module(config)

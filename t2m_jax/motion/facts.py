@@ -69,12 +69,11 @@ def sways(positions: Float[np.ndarray, "T 22 3"], headings: Float[np.ndarray, " 
 def measure(positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> Facts:
     """Returns the measurements of a clip of at least two frames."""
     chex.assert_shape(positions, (None, HUMANML3D.num_joints, 3))
-    names = HUMANML3D.joint_names
     root = positions[:, 0]
     headings = heading_angles(positions)
-    wrists = positions[:, [names.index("left_wrist"), names.index("right_wrist")]]
-    shoulders = positions[:, [names.index("left_shoulder"), names.index("right_shoulder")]]
-    head = positions[:, [names.index("head")] * 2]
+    wrists = positions[:, [JOINT["left_wrist"], JOINT["right_wrist"]]]
+    shoulders = positions[:, [JOINT["left_shoulder"], JOINT["right_shoulder"]]]
+    head = positions[:, [JOINT["head"]] * 2]
     # Steps of the root in the body's frame: to the left, ahead (meters per frame).
     x, z = np.diff(root[:, [0, 2]], axis=0).T
     sine = np.sin(headings[:-1])

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.cleanup import lock_feet
 from t2m_jax.motion.joining import Clip
+from t2m_jax.motion.rotations import turned_about_y
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.travel import smooth_path
 
@@ -95,7 +96,7 @@ def turned_route(positions: Clip, degrees: float | int, *, fps: float) -> Route:
     check_turn(degrees)
     old, way = _smooth_path(positions, fps)
     turns = math.radians(degrees) * way / way[-1]
-    steps = _rotated(np.diff(old, axis=0), (turns[1:] + turns[:-1]) / 2)
+    steps = turned_about_y(np.diff(old, axis=0), (turns[1:] + turns[:-1]) / 2)
     return Route(old, np.concatenate([old[:1], old[0] + np.cumsum(steps, axis=0)]), turns)
 
 
@@ -126,7 +127,7 @@ def route_along(positions: Clip, waypoints: Sequence[Sequence[float | int]], *, 
 
 def follow(positions: Clip, route: Route, *, fps: float, skeleton: Skeleton) -> Clip:
     """Returns a motion on its new path. A foot that stands does not turn with the body: the legs bend instead."""
-    moved = _rotated(positions - route.old[:, None], route.turns[:, None]) + route.new[:, None]
+    moved = turned_about_y(positions - route.old[:, None], route.turns[:, None]) + route.new[:, None]
     locked = _locked(jnp.asarray(moved, jnp.float32), fps=fps, skeleton=skeleton)
     return np.asarray(locked)
 
@@ -186,13 +187,3 @@ def _headings(path: Places, way: Way, wanted: Way) -> Way:
     chords = _at(path, way, wanted + LOOK_AHEAD) - _at(path, way, wanted - LOOK_AHEAD)
     # The angle jumps by a whole turn where a path heads to -Z. A figure must not spin there.
     return np.unwrap(np.arctan2(chords[:, 0], chords[:, 2]))
-
-
-def _rotated(
-    vectors: Float[np.ndarray, "*batch 3"], turns: Float[np.ndarray, "*#batch"]
-) -> Float[np.ndarray, "*batch 3"]:
-    """Returns vectors turned about Y, by radians from +Z to +X."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    cosine = np.cos(turns)
-    sine = np.sin(turns)
-    return np.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)

@@ -226,3 +226,14 @@ def slerp(
     weight_a = xp.where(near, 1 - share, xp.sin((1 - share) * angle) / safe)
     weight_b = xp.where(near, share * xp.ones_like(sine), xp.sin(share * angle) / safe)
     return unit_vectors(weight_a * a + weight_b * b)
+
+
+def turned_about_y(
+    vectors: Float[AnyArray, "*batch 3"], turns: Float[AnyArray, "*#batch"]
+) -> Float[AnyArray, "*batch 3"]:
+    """Returns vectors turned about Y, by radians from +Z to +X."""
+    xp = namespace_of(vectors)
+    x, y, z = xp.moveaxis(vectors, -1, 0)
+    cosine = xp.cos(turns)
+    sine = xp.sin(turns)
+    return xp.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=-1)

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import facing
 from t2m_jax.motion.joining import Pose, place_positions
+from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.rotations import unit_vectors
@@ -233,12 +234,8 @@ def check_targets(
 
 def limb_reach(joint: str, skeleton: Skeleton) -> float:
     """Returns how far a joint can be from the root: the sum of the bones between them, in meters."""
-    index = skeleton.joint_names.index(joint)
-    total = 0.0
-    while index >= 0:
-        total += skeleton.bone_lengths[index]
-        index = skeleton.parents[index]
-    return STRETCH * total * skeleton.metres_per_unit
+    bones = line_to(skeleton.joint_names.index(joint), skeleton.parents)
+    return STRETCH * sum(skeleton.bone_lengths[bone] for bone in bones) * skeleton.metres_per_unit
 
 
 def _check_reach(target: Target, skeleton: Skeleton) -> None:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
@@ -33,34 +33,25 @@ def make_motions(
     """
     # Only requests that follow each other are put together, so that motions come in the order of requests.
     groups = itertools.groupby(requests, key=lambda pair: (pair[0].is_plain, pair[0].options))
-    # A list, so that options are checked now, and not when the first motion is taken.
-    progress = _Progress(sum(request.num_samples for request, _ in requests), on_progress)
-    batches = [
-        _make_group(model, list(group), model.sampling(options), progress.tell) for (_, options), group in groups
-    ]
-    return _unpack(itertools.chain.from_iterable(batches), progress)
+    total = sum(request.num_samples for request, _ in requests)
+    ready = 0
 
-
-class _Progress:
-    """Counts the motions that are ready."""
-
-    def __init__(self, total: int, on_progress: OnProgress | None):
-        self.ready = 0
-        self.total = total
-        self.on_progress = on_progress
-
-    def tell(self, part: float | int = 0) -> None:
+    def tell(part: float | int = 0) -> None:
         """Tells that a number of motions of the batch that is being made is ready, for example 1.5."""
-        if self.on_progress is not None:
-            self.on_progress(self.ready + part, self.total)
+        if on_progress is not None:
+            on_progress(ready + part, total)
 
+    # A list, so that options are checked now, and not when the first motion is taken.
+    batches = [_make_group(model, list(group), model.sampling(options), tell) for (_, options), group in groups]
 
-def _unpack(batches: Iterable[list[Motion]], progress: _Progress) -> Iterator[Motion]:
-    """Yields the motions of batches one by one."""
-    for motions in batches:
-        progress.ready += len(motions)
-        progress.tell()
-        yield from motions
+    def unpacked() -> Iterator[Motion]:
+        nonlocal ready
+        for motions in itertools.chain.from_iterable(batches):
+            ready += len(motions)
+            tell()
+            yield from motions
+
+    return unpacked()
 
 
 def _make_group(

@@ -184,7 +184,7 @@ class TextToMotion:
             on_progress: As in `make`.
             **options: Of `SamplingOptions`, such as `temperature=0.7`.
         """
-        return list(self.generate_each(captions, seed=seed, num_samples=num_samples, on_progress=on_progress, **options))
+        return [*self.generate_each(captions, seed=seed, num_samples=num_samples, on_progress=on_progress, **options)]
 
     def generate_each(
         self,

@@ -271,9 +271,8 @@ class _Server:
 
     async def files(self, request: Request) -> Response:
         """Answers with a file for download."""
-        options = record_from(
-            schema.FileOptions, schema.read_parameters(schema.FileParameters, dict(request.query_params))
-        )
+        fields = schema.read_parameters(schema.FileParameters, request.query_params)
+        options = record_from(schema.FileOptions, fields)
         async with self.bodies.read(request) as body:
             inputs = [body]
             if is_json(request):
@@ -284,7 +283,7 @@ class _Server:
 
     async def scene(self, request: Request) -> Response:
         """Answers with what the page shows of a motion file."""
-        fields = schema.read_parameters(schema.SceneParameters, dict(request.query_params))
+        fields = schema.read_parameters(schema.SceneParameters, request.query_params)
         suffix = fields.get("format", "npz")
         rig = fields.pop("rig", None)
         names = Names(fields.pop("name", f"motion.{suffix}"), fields.pop("rig_name", "rig"))
@@ -298,7 +297,7 @@ class _Server:
         """Answers with a user's character that moves."""
         if not is_json(request):
             raise HTTPException(415, "the body must be application/json")
-        fields = schema.read_parameters(schema.CharacterParameters, dict(request.query_params))
+        fields = schema.read_parameters(schema.CharacterParameters, request.query_params)
         names = Names(fields.pop("name", "character"), fields.pop("rig_name", "rig"))
         rig = fields.pop("rig", None)
         changes = record_from(Changes, fields)

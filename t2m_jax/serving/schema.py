@@ -147,6 +147,12 @@ MotionBody = make_model(
         ),
     },
 )
+_READ_AS: dict[str, Replacement] = {
+    "path": _PATH,
+    "rig": (str | None, None, "Name of the file's rig, or the text of a table. By default, joints are recognized."),
+    "name": (str | None, None, "What the file is called in errors."),
+    "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
+}
 FileParameters = make_model(
     "FileParameters", FileOptions, {"format": (Literal[motion_formats()], "npz", "Format of the file."), "path": _PATH}
 )
@@ -155,33 +161,11 @@ SceneParameters = make_model(
     Changes,
     {
         "format": (InputFormat, "npz", "Format of the body."),
-        "path": _PATH,
-        "rig": (str | None, None, "Name of the file's rig, or the text of a table. By default, joints are recognized."),
-        "name": (str | None, None, "What the file is called in errors."),
-        "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
+        **_READ_AS,
         "split": (float | None, None, "Seconds at which a sentence of the changed motion becomes two."),
     },
 )
-
-
-CharacterParameters = make_model(
-    "CharacterParameters",
-    Changes,
-    {
-        "path": _PATH,
-        "rig": (str | None, None, "Name of the character's rig, or the text of a table. By default, it is recognized."),
-        "name": (str | None, None, "What the character's file is called in errors."),
-        "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
-    },
-)
-
-
-class CharacterBody(BaseModel):
-    """The body of `POST /character`."""
-
-    model_config = ConfigDict(extra="forbid")
-    character: Base64 = Field(description="A `.glb` or `.vrm` file with a skin.")
-    motions: list[Base64] = Field(min_length=1, max_length=MAX_MOTIONS, description="`.npz` files.")
+CharacterParameters = make_model("CharacterParameters", Changes, _READ_AS)
 
 
 class FileBody(BaseModel):
@@ -189,6 +173,12 @@ class FileBody(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     motions: list[Base64] = Field(min_length=1, max_length=MAX_MOTIONS, description="`.npz` files.")
+
+
+class CharacterBody(FileBody):
+    """The body of `POST /character`."""
+
+    character: Base64 = Field(description="A `.glb` or `.vrm` file with a skin.")
 
 
 def read_body(model: type[BaseModel], body: bytes) -> dict[str, Any]:

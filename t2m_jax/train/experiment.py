@@ -248,7 +248,7 @@ def run_setup(
         return state
     place = functools.partial(place_data, devices=devices, placement=config.placement, batch_size=loop.batch_size)
     # The papers choose weights by FID. Then the validation loss is only logged.
-    measurements = [measure_validation(setup, loop, devices, place, best if held_out is None else None)]
+    measurements = measure_validation(setup, loop, devices, place, best if held_out is None else None)
     measurements += [] if held_out is None else [measure_evaluation(setup, held_out, best)]
     feed = place(setup.data, setup.plan).feed(int(state.step), loop.num_steps, size=loop.steps_per_call)
     with feed as take, stop_requests() as asked_to_stop:
@@ -275,11 +275,11 @@ def measure_validation(
     devices: Devices,
     place: Callable[[Any, FeedPlan | None], DataOnDevices | DataOnHost],
     best: BestWeights | None,
-) -> Measurement:
-    """Returns the measurement of the validation loss, which keeps the best weights if `best` is given."""
+) -> list[Measurement]:
+    """Returns the measurement of the validation loss, if there is one; it keeps the best weights if `best` is given."""
     validation = setup.validation
     if validation is None:
-        return Measurement("val", "validation", 0, lambda state: None)
+        return []
     data = place(validation.data, validation.plan)
     # Whole batches alone, because programs are compiled for their shape.
     num_batches = max(validation.num_clips // loop.batch_size, 1)
@@ -294,7 +294,7 @@ def measure_validation(
         best.consider(int(state.step), scores, setup.weights(state))
         return Measured(scores, is_last=best.is_over(int(state.step), patience=setup.patience))
 
-    return Measurement("val", "validation", loop.validate_every, measure)
+    return [Measurement("val", "validation", loop.validate_every, measure)]
 
 
 def measure_evaluation(setup: Setup, held_out: EvaluationTask, best: BestWeights | None) -> Measurement:

@@ -45,7 +45,7 @@ class Measurement(NamedTuple):
     """Name in the log."""
     every: int
     """Updates between two measurements; 0 is never."""
-    measure: Callable[[Any], Measured | None]
+    measure: Callable[[Any], Measured]
     """From a state to metrics, and to a picture if there is one; None in a process that does not measure."""
 
 
@@ -208,8 +208,6 @@ def _log_measurements(log: MetricLog, step: int, measurements: Sequence[Measurem
     is_last = False
     for measurement in measurements:
         found = measurement.measure(state)
-        if found is None:
-            continue
         log.write(measurement.split, step, found.metrics, title=measurement.title)
         if found.picture is not None:
             log.write_picture(step, found.picture)

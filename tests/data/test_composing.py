@@ -124,7 +124,7 @@ def test_arms_turn_with_the_legs():
 
 def test_two_at_once_are_whole_arms_and_a_part_of_a_walk(library):
     drawn = [draw_at_once(library, random.Random(number)) for number in range(20)]
-    pairs = {(one.legs.labels.content, one.arms.labels.content) for one in drawn}
+    pairs = {(legs.labels.content, arms.labels.content) for legs, arms, _ in drawn}
     assert {legs for legs, _ in pairs} == {"walk", "run"} and len({arms for _, arms in pairs}) == 3
     for legs, arms, positions in drawn:
         assert len(legs.features) == len(arms.features) == len(positions)

@@ -39,6 +39,7 @@ from t2m_jax.sampling import MotionRequest, SamplingOptions, TextToMotion
 from t2m_jax.sampling.loop import STOP_STREAM
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.text_encoders import make_text_encoder
+from t2m_jax.text.bpe import TOKENIZER_FILE, save_bpe, train_bpe
 from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.prompts import check_prompt
 from tests.clip_golden import FULL
@@ -54,8 +55,7 @@ WAVE = "a person waves with the left hand"
 JUMP = "a person jumps forward"
 WEB = REPOSITORY / "t2m_jax" / "export" / "page" / "web"
 SCRIPTS = sorted(WEB.glob("*.js"))
-PACKAGE = REPOSITORY / "t2m_jax"
-TOKENIZERS = {name: PACKAGE / name / "tokenizer.json" for name in ("encoders/minilm", "bundles/demo-t2m-gpt")}
+MINILM = REPOSITORY / "t2m_jax" / "encoders" / "minilm" / "tokenizer.json"
 LETTERS = " abcxyz'-.,!?09ÅéßıİΣσςﬁ½²Ⅷ日本語한글абвअा́\u0301\u00a0\u2028\u200d_[]#@€😀\t"
 
 
@@ -109,15 +109,21 @@ def modules(browser):  # noqa: F811
         page.close()
 
 
+def own_subwords():
+    """Returns subwords such as a caption encoder learns."""
+    lines = (REPOSITORY / "configs" / "data" / "sentences.yaml").read_text(encoding="utf-8").splitlines()
+    return train_bpe(lines, vocabulary_size=800)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", TOKENIZERS)
-def test_sentences_have_the_tokens_of_the_library(modules, name):
+@pytest.mark.parametrize("make", [lambda: Tokenizer.from_file(f"{MINILM}"), own_subwords], ids=["minilm", "own"])
+def test_sentences_have_the_tokens_of_the_library(modules, make):
+    tokenizer = make()
     sentences = many_sentences()
     assert len(sentences) > 200
     code = "const one = new tokenizer.Tokenizer(given.tree); return given.sentences.map((text) => one.encode(text));"
-    tree = json.loads(TOKENIZERS[name].read_text(encoding="utf-8"))
-    found = modules("tokenizer", code, {"tree": tree, "sentences": sentences})
-    wanted = Tokenizer.from_file(str(TOKENIZERS[name])).encode_batch(sentences)
+    found = modules("tokenizer", code, {"tree": json.loads(tokenizer.to_str()), "sentences": sentences})
+    wanted = tokenizer.encode_batch(sentences)
     for sentence, tokens, encoding in zip(sentences, found, wanted, strict=True):
         assert tokens == encoding.ids, ascii(sentence)
 
@@ -494,8 +500,9 @@ def test_without_the_extra_there_is_one_line(monkeypatch, tmp_path, capsys):
     assert capsys.readouterr().err == "t2m: error: export: onnxruntime is missing; pip install 't2m-jax[onnx]'\n"
 
 
-def test_a_tokenizer_that_the_page_cannot_read_is_refused():
-    for path in TOKENIZERS.values():
+def test_a_tokenizer_that_the_page_cannot_read_is_refused(tmp_path):
+    save_bpe(tmp_path, own_subwords())
+    for path in (MINILM, tmp_path / TOKENIZER_FILE):
         site._check_tokenizer(path)
     with pytest.raises(UserError, match="has a tokenizer that the page cannot read"):
         site._check_tokenizer(FULL / "tokenizer.json")
@@ -689,7 +696,7 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, small_site, t
         figure = json.loads((folder / "model" / "figure.json").read_text(encoding="utf-8"))
         save_json(folder / "model" / "figure.json", figure | {"rig": None})
         # With a list that fits, it is used, as text.
-        save_json(folder / "files.json", dict(site._checked_files(folder)))
+        save_json(folder / "files.json", site._checked_files(folder))
         page = open_site(address)
         expect(page.locator("#examples button")).to_have_text(nasty)
         expect(page.locator("#license")).to_contain_text(nasty)
@@ -697,7 +704,7 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, small_site, t
         assert page.locator("#downloads button").all_inner_texts() == ["NPZ"]
         expect(page.locator("#formats")).to_be_visible()
         (folder / "model" / "row.onnx").write_bytes(b"no graph")
-        save_json(folder / "files.json", dict(site._checked_files(folder)))
+        save_json(folder / "files.json", site._checked_files(folder))
         page = open_site(address, expected="refused")
         expect(page.locator("#message")).to_contain_text("The page cannot start", timeout=WAIT)
         # Valid graphs that compute something else.
@@ -711,7 +718,7 @@ def test_changed_files_are_refused_and_texts_stay_texts(open_site, small_site, t
         )
         other = onnx.helper.make_model(graph, opset_imports=place.opset_import, ir_version=place.ir_version)
         onnx.save(other, folder / "model" / "place.onnx")
-        save_json(folder / "files.json", dict(site._checked_files(folder)))
+        save_json(folder / "files.json", site._checked_files(folder))
         page = open_site(address)
         page.get_by_role("textbox", name="Sentence").fill(JUMP)
         page.get_by_role("button", name="Generate").click()

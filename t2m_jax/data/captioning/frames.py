@@ -71,7 +71,7 @@ def around(text: str, frame: Frame, *, travels: bool, generator: random.Random) 
     if generator.random() < NOUN_SHARE * 2:
         near = surroundings["toward" if kind == "goals" else "near"]
         phrase = f"{generator.choice(near)} the {generator.choice(load_frames().nouns)}"
-    if kind in ("places", "times") and frame.has_subject and generator.random() < FRONT_SHARE:
+    if kind in ("places", "times") and frame.text.startswith("{subject}") and generator.random() < FRONT_SHARE:
         return f"{phrase}, {text}"
     # "is raised by a man in the park", but "can you run in the park?".
     ending = frame.text.partition("{body}")[2]

@@ -78,11 +78,6 @@ class Frame(NamedTuple):
     text: str
     form: Form
 
-    @property
-    def has_subject(self) -> bool:
-        """Whether it begins with the person who moves."""
-        return self.text.startswith("{subject}")
-
     def form_for(self, subject: Subject) -> Form:
         """Returns the form of the verbs after a subject: "they walk"."""
         return "base" if self.form == "present" and subject.text in AUXILIARIES else self.form

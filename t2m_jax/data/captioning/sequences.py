@@ -2,7 +2,7 @@
 
 import functools
 import random
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from t2m_jax.data.captioning.captions import (
@@ -15,7 +15,7 @@ from t2m_jax.data.captioning.captions import (
     wordings_of,
 )
 from t2m_jax.data.captioning.frames import around, draw_frame, draw_subject
-from t2m_jax.data.captioning.grammar import Form, Frame, Manner, Side, Subject, Wording, clause
+from t2m_jax.data.captioning.grammar import Form, Frame, Subject, Wording, clause
 from t2m_jax.data.captioning.lexicon import read_words
 from t2m_jax.data.captioning.wordings import load_frames, load_wordings
 from t2m_jax.data.texts import Caption
@@ -47,18 +47,6 @@ class Pattern(NamedTuple):
         if self.group not in PLAIN_FORMS:
             return draw_frame(None, generator)
         return load_frames().by_form[generator.choice(PLAIN_FORMS[self.group])][0]
-
-
-class SaidPiece(NamedTuple):
-    """What is said of one action."""
-
-    wording: Wording
-    side: Side
-    manner: Manner | None
-
-    def clause(self, subject: Subject, form: Form, limb: str) -> str:
-        """Returns it in a form."""
-        return clause(self.wording.predicate, subject, form=form, side=self.side, limb=limb, manner=self.manner)
 
 
 def write_then_captions(
@@ -166,7 +154,7 @@ def _say(
     limb = generator.choice(("hand", "hand", "arm"))
     forms: dict[str, Form] = {"": frame.form_for(subject), "ing": "progressive", "done": "perfect", "base": "base"}
     for name, form in forms.items():
-        slots |= {f"{name}{place}": part.clause(subject, form, limb) for place, part in enumerate(parts)}
+        slots |= {f"{name}{place}": part(subject, form=form, limb=limb) for place, part in enumerate(parts)}
     slots |= {name: clause(text, subject, form=forms[""]) for name, text in PAUSES.items()}
     positional = [slots.pop(str(place)) for place in range(len(parts))]
     opening, again = (frame.opening(one) for one in (subject, subject.again()))
@@ -175,10 +163,14 @@ def _say(
     return around(text + frame.ending(subject), frame, travels=travels, generator=generator)
 
 
-def _draw_part(labels: Labels, wordings: Sequence[Wording], generator: random.Random) -> SaidPiece:
-    """Returns one of the wordings, sometimes with the style, but never with a pace: a style is not always slow."""
+def _draw_part(labels: Labels, wordings: Sequence[Wording], generator: random.Random) -> Callable[..., str]:
+    """Returns one of the wordings as a `clause`, sometimes with the style.
+
+    It never has a pace: a style is not always slow.
+    """
     manners = [one for one in load_wordings().styles[labels.style].manners if one.place == "end"]
     manners = [one for one in manners if not says_pace(one.text)]
     share = 0 if labels.style == NORMAL else MANNER_SHARE
     manner = generator.choice(manners) if manners and generator.random() < share else None
-    return SaidPiece(generator.choice(wordings), load_wordings().contents[labels.content].side, manner)
+    side = load_wordings().contents[labels.content].side
+    return functools.partial(clause, generator.choice(wordings).predicate, side=side, manner=manner)

@@ -1,7 +1,6 @@
 """Training motions of two actions at once: what the arms of one clip do, on the legs of another."""
 
 import random
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -30,16 +29,10 @@ MOST_TRAVEL = 0.7
 TRIES = 100
 
 
-class TwoAtOnce(NamedTuple):
-    """A motion of two actions at once."""
-
-    legs: LabeledPiece
-    arms: LabeledPiece
-    positions: Float[np.ndarray, "T J 3"]
-
-
-def draw_at_once(library: Library, generator: random.Random) -> TwoAtOnce:
-    """Returns a motion with the legs of one clip and the arms of another.
+def draw_at_once(
+    library: Library, generator: random.Random
+) -> tuple[LabeledPiece, LabeledPiece, Float[np.ndarray, "T J 3"]]:
+    """Returns a piece with legs, one with arms, and their motion together.
 
     Raises:
         UserError: There are no clips that fit.
@@ -55,7 +48,7 @@ def draw_at_once(library: Library, generator: random.Random) -> TwoAtOnce:
             continue
         legs, arms = fitted
         if abs(arms.facts.turn) < MOST_TURN and arms.facts.travel < MOST_TRAVEL:
-            return TwoAtOnce(legs, arms, put_on_legs(arms.positions, legs.positions))
+            return legs, arms, put_on_legs(arms.positions, legs.positions)
     raise UserError(f"{library.folder}: no training clips have legs and arms that fit; compose without them")
 
 

@@ -21,6 +21,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.facts import measure
 from t2m_jax.motion.joining import fade
+from t2m_jax.motion.rotations import turned_about_y
 from t2m_jax.motion.skeleton import HUMANML3D
 
 FPS = HUMANML3D.fps
@@ -207,11 +208,8 @@ def positions_from_pose(pose: Pose) -> Float[np.ndarray, "T J 3"]:
     for joint in range(1, HUMANML3D.num_joints):
         bone = HUMANML3D.bone_lengths[joint] * directions[HUMANML3D.joint_names[joint]]
         local[:, joint] = local[:, HUMANML3D.parents[joint]] + bone
-    sine = np.sin(pose.heading)[:, None]
-    cosine = np.cos(pose.heading)[:, None]
-    x, y, z = np.moveaxis(local, -1, 0)
-    world = np.stack([cosine * x + sine * z, y, -sine * x + cosine * z], axis=-1)
-    steps = pose.speed[:, None] / FPS * np.concatenate([sine, cosine], axis=1)
+    world = turned_about_y(local, pose.heading[:, None])
+    steps = pose.speed[:, None] / FPS * np.stack([np.sin(pose.heading), np.cos(pose.heading)], axis=1)
     world[:, :, [0, 2]] += np.cumsum(steps, axis=0)[:, None]
     # In each frame, so that somebody who squats comes down instead of lifting the feet.
     world[:, :, 1] -= world[:, :, 1].min(axis=1, keepdims=True)

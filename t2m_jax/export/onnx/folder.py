@@ -1,7 +1,7 @@
 """The folder of an exported model: graphs, tokenizer, card, and a manifest that says how to use them."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,7 @@ def _manifest(folder: Path, bundle: Bundle, text: TextPart, graphs: Mapping[str,
         "license": bundle.license,
         "card": CARD_FILE if bundle.card else None,
         "examples": list(bundle.examples),
-        "files": dict(_files(folder)),
+        "files": file_records(folder, sorted(folder.iterdir())),
         "graphs": {name: _arrays(name, graph) for name, graph in graphs.items()},
         "text": {"tokenizer": TOKENIZER_FILE, "max_tokens": text.num_tokens, "marks": dict(text.marks)},
         "sampling": _sampling(bundle, graphs["row"]),
@@ -67,11 +67,14 @@ def _manifest(folder: Path, bundle: Bundle, text: TextPart, graphs: Mapping[str,
     }
 
 
-def _files(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yields the name, size and digest of each file."""
-    for path in sorted(folder.iterdir()):
+def file_records(folder: Path, paths: Iterable[Path]) -> dict[str, dict[str, Any]]:
+    """Returns the size and digest of each file by its path in the folder."""
+    records = {}
+    for path in paths:
         data = load_bytes(path)
-        yield path.name, {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+        digest = hashlib.sha256(data).hexdigest()
+        records[path.relative_to(folder).as_posix()] = {"bytes": len(data), "sha256": digest}
+    return records
 
 
 def _arrays(name: str, graph: Graph) -> dict[str, Any]:

@@ -15,8 +15,9 @@ from jaxtyping import Array, Float, Int
 
 from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.errors import UserError
-from t2m_jax.export.onnx.text import TextPart, embed_tokens, text_inputs
+from t2m_jax.export.onnx.text import TextPart
 from t2m_jax.keys import new_key
+from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.cleanup import calm_clip, lock_clip
 from t2m_jax.motion.features import positions_from_features
@@ -56,12 +57,22 @@ def make_graphs(bundle: Bundle, text: TextPart, *, sentences: int = 1) -> dict[s
     With more `sentences` than one, motions of `lock` are so much longer, and `place` makes positions of their features.
     """
     return {
-        "text": make_graph(functools.partial(embed_tokens, text), text_inputs(text), text.outputs),
+        "text": _text_graph(text),
         **_generator_graphs(bundle),
         "decode": _decode_graph(bundle),
         **_clean_graphs(bundle, sentences),
         **({"place": _place_graph(bundle, sentences)} if sentences > 1 else {}),
     }
+
+
+def _text_graph(text: TextPart) -> Graph:
+    """Returns the graph from the tokens of a sentence to its embedding; tokens after its end have no influence."""
+
+    def embed(tokens: Int[Array, "1 S"], num_tokens: Int[Array, "1"]) -> tuple[Array, ...]:
+        return text.embed(tokens, mask_from_lengths(num_tokens, tokens.shape[1]))
+
+    inputs = {"tokens": array_of(1, text.num_tokens, dtype=jnp.int32), "num_tokens": array_of(1, dtype=jnp.int32)}
+    return make_graph(embed, inputs, text.outputs)
 
 
 def _generator_graphs(bundle: Bundle) -> dict[str, Graph]:

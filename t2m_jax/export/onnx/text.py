@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -15,7 +14,6 @@ from t2m_jax.checkpoints.pretrained import quantized_rows
 from t2m_jax.checkpoints.sentence import WEIGHTS_FILE, TrainedSentenceEncoder
 from t2m_jax.checkpoints.text_encoder import load_pretrained, pretrained_reference, trained_network
 from t2m_jax.files.arrays import read_arrays
-from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.caption_encoder import StateEncoderConfig, network_module
 from t2m_jax.models.clip_text import ClipText
 from t2m_jax.models.sentence_encoder import SentenceEncoder
@@ -99,16 +97,3 @@ def _sentence_part(
     part = TextPart(embed, encoder.tokenizer, min(num_tokens, encoder.config.max_length), quantized=quantized)
     has_both = has_meaning and read_states is not None
     return part._replace(outputs=("text_embedding", "meaning")) if has_both else part
-
-
-def embed_tokens(part: TextPart, tokens: Int[Array, "1 S"], num_tokens: Int[Array, "1"]) -> tuple[Array, ...]:
-    """Returns the outputs for a sentence; tokens after its end have no influence."""
-    return part.embed(tokens, mask_from_lengths(num_tokens, tokens.shape[1]))
-
-
-def text_inputs(part: TextPart) -> dict[str, jax.ShapeDtypeStruct]:
-    """Returns the shapes of the arguments of `embed_tokens`."""
-    return {
-        "tokens": jax.ShapeDtypeStruct((1, part.num_tokens), jnp.int32),
-        "num_tokens": jax.ShapeDtypeStruct((1,), jnp.int32),
-    }

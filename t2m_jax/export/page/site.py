@@ -4,8 +4,6 @@ import hashlib
 import importlib.resources
 import json
 import re
-from collections.abc import Iterator
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ from t2m_jax.checkpoints.bundle import Bundle
 from t2m_jax.errors import UserError
 from t2m_jax.export.glb import save_figure
 from t2m_jax.export.html import VIEWER_SCRIPTS, stage_style, viewer_script
-from t2m_jax.export.onnx.folder import export_onnx
+from t2m_jax.export.onnx.folder import export_onnx, file_records
 from t2m_jax.export.page.figure import figure_record
 from t2m_jax.export.page.meanings import meanings_record
 from t2m_jax.files.reading import load_bytes, load_json
@@ -59,7 +57,7 @@ def export_page(folder: Path, bundle: Bundle) -> None:
         if skeleton == HUMANML3D:
             save_figure(model / "figure.glb")
         _copy_page(partial)
-        files = dict(_checked_files(partial))
+        files = _checked_files(partial)
         save_json(partial / FILES_FILE, files)
         _fill_templates(partial)
 
@@ -86,22 +84,16 @@ def _copy_page(folder: Path) -> None:
     pages += [(f"assets/vendor/{name}", web / "vendor" / name) for name in vendored]
     pages += [(f"studio/{name}", studio / name) for name in STUDIO_FILES]
     for name, file in pages:
-        _write(folder / name, file)
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_bytes(file.read_bytes())
     save_text(folder / "studio" / "stage.css", stage_style())
     save_text(folder / "studio" / "viewer.js", viewer_script(*VIEWER_SCRIPTS))
 
 
-def _write(path: Path, source: Traversable) -> None:
-    path.parent.mkdir(exist_ok=True, parents=True)
-    path.write_bytes(source.read_bytes())
-
-
-def _checked_files(folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yields name, size and digest of each file that the page loads as data."""
-    for path in (*sorted((folder / "model").iterdir()), folder / "assets" / "vendor" / "ort.wasm.packed"):
-        data = load_bytes(path)
-        name = path.relative_to(folder).as_posix()
-        yield name, {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+def _checked_files(folder: Path) -> dict[str, dict[str, Any]]:
+    """Returns size and digest of each file that the page loads as data."""
+    runtime = folder / "assets" / "vendor" / "ort.wasm.packed"
+    return file_records(folder, [*sorted((folder / "model").iterdir()), runtime])
 
 
 def _fill_templates(folder: Path) -> None:
