@@ -84,7 +84,12 @@ def evaluate(
         model: What the user calls the model, for the report's header.
         partial: File that keeps the finished repeats, so that an interrupted evaluation continues. It is only used by
             an evaluation with the same header.
+
+    Raises:
+        UserError: There are to be no repeats.
     """
+    if num_repeats < 1:
+        raise UserError(f"num-repeats: {num_repeats} is not a whole number above 0")
     header = make_header(task, source, model=model)
     if header.fid_warning:
         logger.warning(header.fid_warning)  # now, because an evaluation may take hours; tables say it, too

@@ -164,6 +164,8 @@ class StatesTextEncoder:
 
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding per caption; long captions are cut."""
+        if not captions:
+            return jnp.zeros((0, self._config.text_dim))
         states, mask = self._states.read_batch(captions)
         length = self._config.max_length
         found = encode_states(self._variables, states[:, :length], mask[:, :length], config=self._config)

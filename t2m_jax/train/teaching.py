@@ -165,6 +165,7 @@ def teach(
     sentences = _read(bundle, network, [text for lesson in (*varied, *held_out) for text in lesson] + list(kept))
     before = jax.device_put(bundle.variables["text_encoder"]["params"])
     embeddings = _embed(before, sentences, np.arange(len(sentences.numbers)))
+    # What is not taught keeps its embedding, or the generator would no longer understand it.
     targets = embeddings.copy()
     taught = sentences.find(lesson.sentence for lesson in varied)
     targets[taught] = embeddings[sentences.find(lesson.like for lesson in varied)]
@@ -174,6 +175,7 @@ def teach(
     meanings = tuple(dict.fromkeys(lesson.meaning for lesson in (*lessons, *held_out)))
     answers = [meanings.index(lesson.meaning) for lesson in held_out]
     asked = sentences.find(lesson.sentence for lesson in held_out)
+    # Meanings stay where they were, because the generator has learned them there.
     keys = embeddings[sentences.find(meanings)]
     right = [_count_nearest(found, keys, answers) for found in (embeddings[asked], _embed(after, sentences, asked))]
     variables = bundle.variables | {"text_encoder": {"params": jax.device_get(after)}}
@@ -229,6 +231,7 @@ def _draw_batches(
         size = sizes[generator.choice(len(taught), p=shares / shares.sum())]
         fitting = shares * (sizes == size)
         drawn = generator.choice(taught, BATCH_SIZE - num_kept, p=fitting / fitting.sum())
+        # A longer caption would need the program of a larger size for the whole batch.
         short = stay[sentences.lengths[stay] <= sentences.lengths[drawn].max()]
         yield np.concatenate([drawn, generator.choice(short, num_kept)]) if len(short) else drawn
 

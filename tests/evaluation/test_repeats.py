@@ -98,6 +98,8 @@ def test_the_same_seed_gives_the_same_figures_and_another_others(task, generatio
     assert evaluate(task, generation, num_repeats=2) == report
     other = evaluate(task._replace(seed=4), generation, num_repeats=1)
     assert other.measured["fid"].repeats[0] != report.measured["fid"].repeats[0]
+    with pytest.raises(UserError, match="num-repeats: 0 is not"):
+        evaluate(task, generation, num_repeats=0)
 
 
 def test_an_interrupted_evaluation_goes_on(task, generation, report, tmp_path, monkeypatch):

@@ -21,6 +21,10 @@ def encoder():
     return StatesTextEncoder(StateEncoderConfig(), {}, SentenceStates(SentenceReference(name="minilm")))
 
 
+def test_no_captions_have_no_embeddings(encoder):
+    assert encoder([]).shape == (0, StateEncoderConfig().text_dim)
+
+
 @pytest.fixture(scope="module")
 def knowledge(encoder):
     return Knowledge(WORDS, ACTIONS, Meanings(ACTIONS, encoder.sentence_embeddings))
