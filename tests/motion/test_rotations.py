@@ -17,6 +17,7 @@ from t2m_jax.motion.rotations import (
     rotate_vectors,
     rotation_6d_from_quaternion,
     slerp,
+    turned_about_y,
     unit_vectors,
 )
 from tests.jit import assert_jit_equals_eager
@@ -246,3 +247,12 @@ def test_jit_changes_nothing(function):
     compiled = assert_jit_equals_eager(jax.jit(function), quaternions, vectors, atol=1e-5)
     plain = function(np.asarray(quaternions), np.asarray(vectors))
     np.testing.assert_allclose(plain, compiled, atol=1e-5)
+
+
+@in_both_libraries
+def test_a_turn_about_y_is_that_of_its_quaternion(asarray):
+    vectors, turns = random_vectors(7, 4), np.linspace(-4, 4, 7).astype(np.float32)
+    halves = np.stack([np.cos(turns / 2), 0 * turns, np.sin(turns / 2), 0 * turns], axis=-1)
+    found = turned_about_y(asarray(vectors), asarray(turns[:, None]))
+    np.testing.assert_allclose(found, rotate_vectors(halves[:, None], vectors), atol=1e-5)
+    assert type(found) is type(asarray(vectors))
