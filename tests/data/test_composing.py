@@ -244,9 +244,10 @@ def test_labels_are_needed_and_nothing_is_composed_twice(data, tmp_path):
 @pytest.mark.parametrize("kind", sorted(EXTRA_PREFIXES))
 def test_what_was_made_of_one_clip_is_not_composed_twice(data, tmp_path, kind):
     copy = shutil.copytree(data, tmp_path / "copy")
+    name = (copy / "train.txt").read_text().split("\n")[0]
     with (copy / "train.txt").open("a") as names:
-        names.write(f"\n{kind}_walk\n")
-    with pytest.raises(UserError, match=f"{kind}_walk is composed already"):
+        names.write(f"\n{kind}_unknown\n{kind}_{name}\n")
+    with pytest.raises(UserError, match=f"{kind}_{name} is composed already"):
         compose_dataset(copy, tmp_path / "other", turns=1)
 
 

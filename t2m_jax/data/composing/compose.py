@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import random
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,8 +93,8 @@ def compose_dataset(source: str | Path, destination: str | Path, **options: Any)
         raise UserError(f"{dataset.folder}: no training clip has a label in index.csv that can be put into words")
     splits = read_splits(dataset)
     names = [name for members in splits.values() for name in members]
-    prefixes = EXTRA_PREFIXES | {kind.prefix for kind in KINDS.values()}
-    if composed := [name for name in names if name.partition("_")[0] in prefixes]:
+    known = frozenset(names)
+    if composed := [name for name in names if _is_made(name, known)]:
         raise UserError(f"{dataset.folder}: {composed[0]} is composed already; compose the data set it was made of")
     with new_folder(destination) as folder, map_in_processes(given.workers) as run_all:
         frames = sum(copy_clip(name, dataset, folder) for name in names)
@@ -115,6 +115,13 @@ def known_labels(index: ClipIndex, names: Iterable[str]) -> dict[str, Labels]:
         if not name.startswith(MIRROR_PREFIX) and content in words.contents and style in words.styles:
             found[name] = Labels(content, style)
     return found
+
+
+def _is_made(name: str, known: Set[str]) -> bool:
+    """Returns whether a name is that of a motion that was made of the known clips."""
+    prefix, _, origin = name.partition("_")
+    # A recording may be called `slow1_walk`, if there is no `walk` that it was made of.
+    return prefix in {kind.prefix for kind in KINDS.values()} or (prefix in EXTRA_PREFIXES and origin in known)
 
 
 def still_labels(still: Iterable[NewClip]) -> dict[str, Labels]:
