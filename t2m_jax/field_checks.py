@@ -36,7 +36,10 @@ def check_shares(config: Any, *names: str, with_one: bool = True) -> None:
 
 
 def check_seed(seed: int, name: str = "seed") -> None:
-    """Raises `UserError` if a seed is not a whole number from 0 to 2**32 - 1: keys of JAX ignore the bits above."""
+    """Raises `UserError` if a seed, or another number that makes a key, is not a whole number from 0 to 2**32 - 1.
+
+    Keys of JAX ignore the bits above.
+    """
     if not isinstance(seed, Integral):
         raise UserError(f"{name}: {seed!r} is not a whole number")
     if not 0 <= seed < 2**32:

@@ -1,8 +1,8 @@
 """Rotations as quaternions `(w, x, y, z)`, matrices, 6D vectors and Euler angles.
 
 Rotations are active and apply to column vectors. `quaternion_multiply(a, b)` rotates by `b` first. All functions accept
-NumPy or JAX arrays with leading batch axes, and return float32 arrays of the same library. Finite inputs give finite
-results.
+NumPy or JAX arrays with leading batch axes, and return float32 arrays of the same library (`turned_about_y`: in the
+precision of its arguments). Finite inputs give finite results.
 """
 
 from typing import Any, Literal

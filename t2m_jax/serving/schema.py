@@ -153,6 +153,7 @@ _READ_AS: dict[str, Replacement] = {
     "name": (str | None, None, "What the file is called in errors."),
     "rig_name": (str | None, None, "What the table in `rig` is called in errors."),
 }
+"""What is said of a file of a figure that is read."""
 FileParameters = make_model(
     "FileParameters", FileOptions, {"format": (Literal[motion_formats()], "npz", "Format of the file."), "path": _PATH}
 )

@@ -46,7 +46,7 @@ class Measurement(NamedTuple):
     every: int
     """Updates between two measurements; 0 is never."""
     measure: Callable[[Any], Measured]
-    """From a state to metrics, and to a picture if there is one; None in a process that does not measure."""
+    """From a state to metrics, and to a picture if there is one."""
 
 
 class Speed(NamedTuple):

@@ -54,8 +54,9 @@ def test_a_model_without_captions_needs_sentences(tmp_path):
 
 
 @pytest.mark.parametrize(("seed", "wrong"), [(-1, -1), (2**32 - 2, 2**32)])
-def test_seeds_of_all_repetitions_are_checked_first(model, tmp_path, seed, wrong):
+def test_seeds_of_all_repetitions_are_checked_first(model, tmp_path, monkeypatch, seed, wrong):
     """Seven clips of three sentences have three seeds."""
+    monkeypatch.setattr(model, "generate", lambda *_, **__: pytest.fail("sampled before"))
     with pytest.raises(UserError, match=f"seed: {wrong} is not between"):
         write_replay(model, tmp_path / "old", num_clips=7, seed=seed)
     assert not (tmp_path / "old").exists()
