@@ -1,7 +1,7 @@
 """Runs notebooks and saves them with small outputs: `python notebooks/run.py [NOTEBOOK...]`, by default all.
 
-Interactive viewers are removed, because each has 200 kB and code hosts do not show them. Plots are stored with fewer
-colors.
+Interactive viewers are removed, because each has 200 kB and code hosts do not show them. Plots are stored with a
+palette.
 """
 
 import base64
@@ -13,15 +13,15 @@ import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
-NUM_COLORS = 32
+NUM_COLORS = 256
 
 
 def small_picture(data: str) -> str:
     """Returns a PNG picture (base64) with fewer colors."""
     picture = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
     stream = io.BytesIO()
-    # This method keeps rare colors, and dots of dithering would make the file larger.
-    few = picture.quantize(NUM_COLORS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    # Dots of dithering would make the file larger.
+    few = picture.quantize(NUM_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(stream, "PNG", optimize=True)
     return base64.b64encode(stream.getvalue()).decode("ascii")
 

@@ -79,12 +79,18 @@ def test_the_stages_of_a_folder_fit(folder, tokenizer, generator):
         assert getattr(second.model, name) == getattr(first.model, name)
 
 
-@pytest.mark.parametrize(("model", "motion"), [("demo", "all"), ("demo-free", "all-free")])
-def test_the_script_of_the_packaged_models_fits_their_configs(model, motion):
-    script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8").replace("$name", model)
-    *trainings, teaching = (shlex.split(line)[1:] for line in script.splitlines() if line.startswith("t2m "))
+@pytest.mark.parametrize(
+    ("model", "motion", "composed"),
+    [("demo", "all", "demo"), ("demo-free", "all-free", "demo-free"), ("demo-t2m-gpt", "all", "demo")],
+)
+def test_the_script_of_the_packaged_models_fits_their_configs(model, motion, composed):
+    # The script with `echo` in front of what it would do.
+    script = (REPOSITORY / "configs" / "demo" / "make.sh").read_text(encoding="utf-8")
+    script = re.sub("^(t2m|sh|rm) ", r"echo \1 ", script, flags=re.MULTILINE)
+    printed = subprocess.run(["sh", "-s", "archives", model], input=script, capture_output=True, text=True, check=True)
+    *trainings, teaching = (line.split()[1:] for line in printed.stdout.splitlines() if line.startswith("t2m "))
     tokenizer, generator = (config_of(kind, str(REPOSITORY / path), options) for _, kind, path, *options in trainings)
-    assert (f"{tokenizer.data}", f"{generator.data}") == (f"data/{motion}", f"data/{model}")
+    assert (f"{tokenizer.data}", f"{generator.data}") == (f"data/{motion}", f"data/{composed}")
     assert generator.vqvae == tokenizer.run
     for name in ("num_codes", "num_quantizers"):
         assert getattr(generator.model, name) == getattr(tokenizer.model, name)
