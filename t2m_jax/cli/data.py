@@ -178,7 +178,7 @@ def run_replay(args: argparse.Namespace) -> "ImportReport":
 
 def run_rig(args: argparse.Namespace) -> None:
     """Prints or writes the best guess of a rig's table."""
-    from t2m_jax.data.importers.bvh import open_motion_file
+    from t2m_jax.data.importers.motion_files import open_motion_file
     from t2m_jax.files.writing import check_output, save_text
     from t2m_jax.motion.gltf import load_gltf_joints
     from t2m_jax.motion.rig.guess import rig_table_text

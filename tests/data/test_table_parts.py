@@ -160,6 +160,20 @@ def test_a_frozen_table_gives_its_captions_alone(source, tmp_path):
     assert load_index(tmp_path / "data").label("short") == "walk, happy"
 
 
+def test_a_frozen_table_of_captions_reads_no_other_texts(source, tmp_path):
+    source = shutil.copytree(source, tmp_path / "source")
+    (source / "short.txt").write_text("a text beside\n")
+    table = tmp_path / "frozen.csv"
+    table.write_text(f"file,caption,sha256\nshort,a walk,{digest(source / 'short.bvh')}\n")
+    options = {"captions": table, "split": "100/0/0"}
+    import_bvh_folder(source, tmp_path / "data", frozen=True, **options)
+    assert [caption.text for caption in open_dataset(tmp_path / "data").captions("short")] == ["a walk"]
+    table.write_text("file,caption,sha256\nshort,a walk,0123456789abcdef\n")
+    with pytest.raises(UserError, match="not 0123456789abcdef as in the table"):
+        import_bvh_folder(source, tmp_path / "other", frozen=True, **options)
+    assert not (tmp_path / "other").exists()
+
+
 def test_a_frozen_table_may_name_an_animation(tmp_path):
     write_person(tmp_path / "source/figure.glb", BANDAI, {"Turn": 90.0, "Bow": 30.0}, seconds=2.0)
     report = frozen(tmp_path / "source", tmp_path, "figure/Turn,walk,ann,train,,he turns,\n")

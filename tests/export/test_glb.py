@@ -8,7 +8,7 @@ import pytest
 
 from t2m_jax import Motion
 from t2m_jax.cli.main import main
-from t2m_jax.data.importers.bvh import open_motion_file
+from t2m_jax.data.importers.motion_files import open_motion_file
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.export.glb import save_glb

@@ -1,8 +1,8 @@
 """Importing a folder of BVH, GLB, AMC and AMASS files, with captions from a table, text files or names."""
 
 import dataclasses
-import zipfile
-from collections import Counter, defaultdict
+from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -21,74 +21,20 @@ from t2m_jax.data.importers.caption_files import (
     is_named,
     unused_entries,
 )
-from t2m_jax.data.importers.caption_table import CaptionTable, find_entries
+from t2m_jax.data.importers.caption_table import CaptionEntry, CaptionTable, find_entries
 from t2m_jax.data.importers.division import EIGHTY, Division
-from t2m_jax.data.importers.table_parts import TablePart, find_parts, has_parts
+from t2m_jax.data.importers.motion_files import find_motion_files, open_motion_file
+from t2m_jax.data.importers.table_parts import TablePart, check_digest, find_parts, has_parts
 from t2m_jax.data.index import IndexEntry, save_index
 from t2m_jax.data.writer import ImportReport, finish_folder, new_folder, with_twins, write_twins
 from t2m_jax.errors import UserError, naming
-from t2m_jax.motion.amass import load_amass
-from t2m_jax.motion.amc import AMC_FPS, load_amc
-from t2m_jax.motion.bvh import load_bvh
-from t2m_jax.motion.formats import check_size
-from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.amc import AMC_FPS
 from t2m_jax.motion.rig import RigClip
 from t2m_jax.motion.rig.orientation import Up, rest_frames, sides_note
-from t2m_jax.motion.rig.retarget import clip_up, find_rig, resolve_rig, retarget
+from t2m_jax.motion.rig.retarget import clip_up, find_rig, retarget
 from t2m_jax.motion.rig.rigs import Rig
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.smpl import up_of_smpl
-
-SUFFIXES = (".bvh", ".glb", ".amc", ".npz")
-
-
-def find_motion_files(source: Path) -> list[Path]:
-    """Returns all BVH, GLB, AMC and AMASS files below `source`, sorted.
-
-    Raises:
-        UserError: There are none.
-    """
-    files = sorted(path for path in source.rglob("*") if path.suffix.lower() in SUFFIXES and not _is_other_npz(path))
-    if not files:
-        raise UserError(f"{source}: is no folder with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} files at any depth")
-    return files
-
-
-def _is_other_npz(path: Path) -> bool:
-    """Returns whether a file is an archive without rotations, such as the `shape.npz` of AMASS or one of ours."""
-    if path.suffix.lower() != ".npz":
-        return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return "poses.npy" not in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        return False  # its reader says what is wrong
-
-
-def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS, rig: str | None = None) -> dict[Source, RigClip]:
-    """Returns the motions of a file. In a BVH file, the legs of `rig` tell the unit.
-
-    Raises:
-        UserError: The file is damaged or too long, or there is no such rig.
-    """
-    motions = _read_motion_file(path, amc_fps=amc_fps, rig=rig)
-    for clip in motions.values():
-        check_size(path, clip)
-    return motions
-
-
-def _read_motion_file(path: Path, *, amc_fps: float, rig: str | None) -> dict[Source, RigClip]:
-    suffix = path.suffix.lower()
-    if suffix == ".glb":
-        clips = load_gltf(path)
-        # Animations of two armatures may have equal captions; their names differ.
-        counts = Counter(clip.caption for clip in clips.values())
-        return {Source(path, clip.caption if counts[clip.caption] == 1 else name): clip for name, clip in clips.items()}
-    if suffix == ".amc":
-        return {Source(path, None): load_amc(path, fps=amc_fps)}
-    if suffix == ".npz":
-        return {Source(path, None): load_amass(path)}
-    return {Source(path, None): load_bvh(path, rig=None if rig is None else resolve_rig(rig))}
 
 
 class _Prepared(NamedTuple):
@@ -154,8 +100,8 @@ class BvhOptions:
 
     captions: str | Path | None = None
     """Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the folder. An
-    animation of a GLB file is called `file/animation`. A `.txt` next to a file of one motion is always read, unless the
-    table has a column `action`: then each of its rows is a clip (see `table_parts`)."""
+    animation of a GLB file is called `file/animation`. A `.txt` next to a file of one motion is read, too, unless the
+    table is `frozen` or has a column `action`: then each of its rows is a clip (see `table_parts`)."""
     rig: str | None = None
     """Name of a rig, or a YAML table such as `pelvis: Hips`; by default detected from the joint names."""
     caption_from_name: bool = False
@@ -209,10 +155,11 @@ class _Converter:
                 self.left_out[self._add(motion)] = str(error)
             return
         for motion, clip in motions.items():
-            if self.options.frozen and not find_entries(self.table, motion.keys(self.source)):
+            rows = find_entries(self.table, motion.keys(self.source))
+            if self.options.frozen and not rows:
                 continue  # an archive has more than a table names
             try:
-                parts = self._parts(motion)
+                parts = self._parts(motion, rows)
             except UserError as error:
                 self.left_out[self._add(motion)] = str(error)
                 continue
@@ -223,17 +170,19 @@ class _Converter:
                 except UserError as error:
                     self.left_out[part.name] = str(error)
 
-    def _parts(self, motion: Source) -> list[TablePart]:
-        """Returns the clips that a motion becomes: those of the table, or one with all of it.
+    def _parts(self, motion: Source, rows: Sequence[CaptionEntry]) -> list[TablePart]:
+        """Returns the clips that a motion becomes: those of its rows of the table, or one with all of it.
 
         Raises:
-            UserError: There are no captions, or the table is wrong.
+            UserError: There are no captions, the table is wrong, or the file is another one.
         """
-        key = motion.key(self.source)
+        check_digest(motion.path, rows)
+        name = clip_name(motion.key(self.source))
         if has_parts(self.table):
-            return find_parts(motion, key, find_entries(self.table, motion.keys(self.source)))
-        from_name = self.options.caption_from_name
-        return [TablePart(clip_name(key), find_captions(motion, self.source, table=self.table, from_name=from_name))]
+            return find_parts(motion, name, rows)
+        given = self.options
+        captions = find_captions(motion, rows, only_table=given.frozen, from_name=given.caption_from_name)
+        return [TablePart(name, captions)]
 
     def _write(self, motion: Source, part: TablePart, clip: RigClip, folder: Path) -> None:
         """Writes a clip and its twin.

@@ -72,18 +72,19 @@ def find_table(source: Path, captions: Path | None, *, files: Collection[Path]) 
     return load_caption_table(path, keys=[Source(file, None).key(source) for file in files])
 
 
-def find_captions(motion: Source, folder: Path, *, table: CaptionTable, from_name: bool) -> tuple[Caption, ...]:
-    """Returns the captions of a motion: from the table, from the text file next to its file, or from its name.
+def find_captions(
+    motion: Source, rows: Sequence[CaptionEntry], *, only_table: bool, from_name: bool
+) -> tuple[Caption, ...]:
+    """Returns the captions of a motion: from its rows of the table, from the text file next to it, or from its name.
 
-    The text file has plain lines or HumanML3D's four fields.
+    The text file has plain lines or HumanML3D's four fields. With `only_table`, it is not read.
 
     Raises:
         UserError: There is none, or the text file cannot be read.
     """
-    rows = find_entries(table, motion.keys(folder))
     captions = [caption for row in rows for caption in row.captions]
     beside = motion.path.with_suffix(".txt")
-    is_read = motion.animation is None and beside.is_file()
+    is_read = motion.animation is None and not only_table and beside.is_file()
     text = load_text(beside) if is_read else ""
     for number, line in enumerate(text.split("\n"), start=1):
         place = f"{beside}:{number}"

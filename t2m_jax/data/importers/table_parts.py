@@ -2,6 +2,7 @@
 
 import hashlib
 from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from jaxtyping import Float
 from t2m_jax.data.captioning.captions import Labels, write_captions
 from t2m_jax.data.captioning.wordings import load_wordings
 from t2m_jax.data.files import SPLITS
-from t2m_jax.data.importers.caption_files import Source, clip_name
+from t2m_jax.data.importers.caption_files import Source
 from t2m_jax.data.importers.caption_table import ACTION, DIGEST, PERSON, SPLIT, CaptionEntry, CaptionTable
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
@@ -78,12 +79,12 @@ def has_parts(table: CaptionTable) -> bool:
     return ACTION in table.columns
 
 
-def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[TablePart]:
+def find_parts(motion: Source, name: str, rows: Sequence[CaptionEntry]) -> list[TablePart]:
     """Returns the parts of a motion in their order. A motion of several parts numbers them from 1.
 
     Args:
         motion: For error messages.
-        key: What tables call the motion.
+        name: That of a clip of the whole motion.
         rows: Its rows.
 
     Raises:
@@ -91,13 +92,11 @@ def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[Table
     """
     if not rows:
         raise UserError(f"{motion}: is not in the table")
-    check_digest(motion.path, {row.cells.get(DIGEST, "") for row in rows} - {""})
     spans = defaultdict(list)
     for row in rows:
         if row.problem:
             raise UserError(row.problem)
         spans[row.span].append(row)
-    name = clip_name(key)
     numbered = len(spans) > 1
     return [
         _make_part(f"{name}_{number}" if numbered else name, spans[span])
@@ -105,8 +104,9 @@ def find_parts(motion: Source, key: str, rows: list[CaptionEntry]) -> list[Table
     ]
 
 
-def check_digest(path: Path, wanted: set[str]) -> None:
-    """Raises `UserError` if a motion file is not the one whose SHA-256 begins with each of the digits."""
+def check_digest(path: Path, rows: Iterable[CaptionEntry]) -> None:
+    """Raises `UserError` if a motion file is not the one whose SHA-256 its rows begin with."""
+    wanted = {row.cells.get(DIGEST, "") for row in rows} - {""}
     found = hashlib.sha256(load_bytes(path)).hexdigest() if wanted else ""
     for digits in sorted(wanted):
         if not found.startswith(digits.lower()):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from t2m_jax.data.importers import bvh
-from t2m_jax.data.importers.bvh import find_motion_files, import_bvh_folder, open_motion_file
+from t2m_jax.data.importers.bvh import import_bvh_folder
+from t2m_jax.data.importers.motion_files import find_motion_files, open_motion_file
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.mirroring import mirror_positions
