@@ -1,6 +1,7 @@
 """Speed of an evaluation's networks: motions and captions that are embedded in a second."""
 
 import functools
+from typing import Any
 
 import jax
 import numpy as np
@@ -8,9 +9,10 @@ import numpy as np
 from t2m_jax.bench.probes import first_devices, on_devices, place
 from t2m_jax.bench.record import BenchResult, Peaks
 from t2m_jax.bench.timing import compile_program, count_flops, share, speed, time_calls
-from t2m_jax.evaluation.embedding import BATCH, embed
+from t2m_jax.evaluation.embedding import BATCH
 from t2m_jax.keys import new_key
-from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
+from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, evaluator_shapes
+from t2m_jax.models.rows import apply_compiled
 
 FRAMES = 196
 """Frames of a motion: the longest of the protocols."""
@@ -40,10 +42,10 @@ def benchmark_embedding(config: EvaluatorConfig, *, peaks: Peaks) -> list[BenchR
     rows = []
     for name, method, inputs in work:
         arguments = (variables, *place(inputs, mesh, by_rows=True))
-        function = functools.partial(embed, config=config, method=method)
-        program = compile_program(lambda: embed.lower(*arguments, **function.keywords))  # noqa: B023 - called at once
+        options: Any = {"module": Evaluator(config), "method": method}
+        program = compile_program(lambda: apply_compiled.lower(*arguments, **options))  # noqa: B023 - called at once
         timing = time_calls(lambda: program.compiled(*arguments))  # noqa: B023
-        flops = count_flops(function, *arguments)
+        flops = count_flops(functools.partial(apply_compiled, **options), *arguments)
         figures = (speed(BATCH, timing), *program.figures, share("product", flops / timing.median, peaks.float32))
         rows.append(BenchResult(benchmark="evaluate", name=f"{name}{on_devices(mesh.size)}", figures=figures))
     return rows

@@ -19,6 +19,7 @@ from t2m_jax.evaluation.task import EvaluationTask
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.quality import MotionQuality, measure_quality
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, EvaluatorConfig
+from t2m_jax.models.rows import apply_compiled
 from t2m_jax.motion.cleanup import clean_positions
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
@@ -141,12 +142,6 @@ def embed_decoded(task: EvaluationTask, tokenizer: TrainedTokenizer, motions: Mo
     return DecodedMotions(embeddings, DecodedQuality(*[MotionQuality(*measures) for measures in quality]))
 
 
-@functools.partial(jax.jit, static_argnames=("config", "method"))
-def embed(variables: Any, *inputs: Array, config: EvaluatorConfig, method: str) -> Float[Array, "B E"]:
-    """Returns the embeddings that a method of the evaluator gives: `embed_motion` or `embed_text`."""
-    return Evaluator(config).apply(variables, *inputs, method=method)
-
-
 def _by_length(pieces: Sequence[Float[np.ndarray, "_ D"]]) -> Iterator[tuple[Int[np.ndarray, " B"], int]]:
     """Yields batches of pieces of similar lengths, and the frames to pad each to."""
     lengths = np.array([len(piece) for piece in pieces])
@@ -158,6 +153,7 @@ def embed_pieces(
     evaluator: TrainedEvaluator, pieces: Sequence[Float[np.ndarray, "_ D"]], *, max_frames: int
 ) -> Float[np.ndarray, "N E"]:
     """Returns the embeddings of real motions (raw features) of at most `max_frames` frames."""
+    module = Evaluator(evaluator.config)
     embeddings = np.zeros((len(pieces), evaluator.config.embedding_dim), np.float32)
     for chosen, size in _by_length(pieces):
         # Before the padding, so that what follows the end is zero for the evaluator.
@@ -165,18 +161,19 @@ def embed_pieces(
         # Here, too, there is no room past `max_frames`; see `embed_codes`.
         batch = pad_motions(normalized, batch=BATCH, size=min(size + ROOM, max_frames))
         inputs = put_rows(tuple(batch))
-        embeddings[chosen] = embed(evaluator.variables, *inputs, config=evaluator.config, method="embed_motion")
+        embeddings[chosen] = apply_compiled(evaluator.variables, *inputs, module=module, method="embed_motion")
     return embeddings
 
 
 def embed_captions(evaluator: TrainedEvaluator, captions: Sequence[Sequence[str]]) -> Float[np.ndarray, "N E"]:
     """Returns the embeddings of captions, each given as `word/TAG` tokens."""
     ids = evaluator.vocabulary.vectorize_all(captions)
+    module = Evaluator(evaluator.config)
     embeddings = np.zeros((len(captions), evaluator.config.embedding_dim), np.float32)
     # All captions have the same width, so any order will do.
     for chosen in batches_of(np.arange(len(captions)), BATCH):
         inputs = put_rows(tuple(array[chosen] for array in ids))
-        embeddings[chosen] = embed(evaluator.variables, *inputs, config=evaluator.config, method="embed_text")
+        embeddings[chosen] = apply_compiled(evaluator.variables, *inputs, module=module, method="embed_text")
     return embeddings
 
 

@@ -22,11 +22,12 @@ from t2m_jax.evaluation.sources import MotionCodes
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.metrics.quality import MotionErrors, MotionQuality, measure_errors, measure_quality
+from t2m_jax.models.rows import apply_compiled
 from t2m_jax.motion.features import positions_from_features
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.sampling.batches import pad_motions, round_up
-from t2m_jax.sampling.programs import decode_positions, encode_batch
+from t2m_jax.sampling.programs import decode_positions
 
 BATCH = 32
 """Clips that are encoded and decoded together."""
@@ -56,7 +57,7 @@ def reconstruct_batch(
 ) -> ReconstructedBatch:
     """Returns errors, quality and codes of raw features; `tokenizer` is the module."""
     mask = mask_from_lengths(lengths, features.shape[1])
-    codes = encode_batch(variables, normalizer.normalize(features), mask, tokenizer=tokenizer)
+    codes = apply_compiled(variables, normalizer.normalize(features), mask, module=tokenizer, method="encode")
     code_lengths = lengths // (features.shape[1] // codes.shape[1])
     _, positions = decode_positions(variables, normalizer, codes, code_lengths, tokenizer=tokenizer, skeleton=skeleton)
     real = positions_from_features(features, skeleton)

@@ -1,5 +1,6 @@
-"""Applying a module to a batch in training, with random draws that belong to the rows and a compute dtype."""
+"""Applying a module to a batch: compiled, or in training with draws that belong to the rows and a compute dtype."""
 
+import functools
 from typing import Any, Literal
 
 import flax.linen as nn
@@ -9,6 +10,19 @@ from jaxtyping import Array, Key
 
 Precision = Literal["float32", "bfloat16"]
 """What products are computed in. Parameters, their optimizer's state, losses and statistics are always float32."""
+
+
+@functools.partial(jax.jit, static_argnames=("module", "method", "train"))
+def apply_compiled(variables: Any, *inputs: Any, module: nn.Module, **options: Any) -> Any:
+    """Returns the output of a module for a batch; modules with equal configs share their compiled programs.
+
+    Args:
+        variables: The collections of the module.
+        *inputs: Arrays of the batch.
+        module: Takes `inputs`.
+        **options: `method` and `train`, if the module needs them.
+    """
+    return module.apply(variables, *inputs, **options)
 
 
 def apply_rows(module: nn.Module, variables: Any, *inputs: Any, keys: Key[Array, " B"] | None, **options: Any) -> Any:

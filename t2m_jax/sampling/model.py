@@ -15,6 +15,7 @@ from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
 from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
 from t2m_jax.models.projection import restore_kernels
+from t2m_jax.models.rows import apply_compiled
 from t2m_jax.models.system import make_module
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.normalizer import Normalizer
@@ -27,7 +28,6 @@ from t2m_jax.sampling.programs import (
     encode_motion,
     generate_codes,
     generate_row,
-    row_likelihoods,
     sampling_variables,
 )
 from t2m_jax.sampling.prompts import Sample
@@ -187,7 +187,8 @@ class ModelParts:
         """
         # Teacher forcing: all rows are known, so they are read at once, and not one after the other.
         variables = self._variables_for_sampling()
-        return row_likelihoods(variables, *put_rows((codes, text_embedding)), generator=self._generator)
+        inputs = put_rows((codes, text_embedding))
+        return apply_compiled(variables, *inputs, module=self._generator, method="log_likelihood")
 
     def _variables_for_sampling(self) -> dict[str, Any]:
         """Returns the generator's variables, rearranged at the first call; the old arrangement is not kept."""

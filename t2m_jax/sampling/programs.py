@@ -15,6 +15,7 @@ from t2m_jax.devices import put_everywhere, put_rows
 from t2m_jax.errors import UserError
 from t2m_jax.masks import mask_from_lengths
 from t2m_jax.models.projection import transpose_kernels
+from t2m_jax.models.rows import apply_compiled
 from t2m_jax.models.system import GeneratorConfig
 from t2m_jax.motion.features import features_from_positions, positions_from_features
 from t2m_jax.motion.motion import Motion
@@ -38,14 +39,6 @@ FRAME_BUCKET = 64
 """Batches of motion are padded to a multiple of this many frames."""
 SLOT_ROWS = 4
 """Rows that are sampled in slots before others can begin, which costs the time of about half a row."""
-
-
-@functools.partial(jax.jit, static_argnames="tokenizer")
-def encode_batch(
-    variables: Any, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"], *, tokenizer: Any
-) -> Int[Array, "B N R"]:
-    """Returns the codes of normalized motions, 0 after their ends; `tokenizer` is the module."""
-    return tokenizer.apply(variables, motion, mask, method="encode")
 
 
 @functools.partial(jax.jit, static_argnames="tokenizer")
@@ -100,14 +93,6 @@ def _functions(generator: Any, variables: Any) -> GeneratorFunctions:
     """Returns the methods of a generator with its weights."""
     names = ("begin", "draw", "step")
     return GeneratorFunctions(*[functools.partial(generator.apply, variables, method=name) for name in names])
-
-
-@functools.partial(jax.jit, static_argnames="generator")
-def row_likelihoods(
-    variables: Any, codes: Int[Array, "B N R"], text_embedding: Float[Array, "B E"], *, generator: Any
-) -> Float[Array, "B N"]:
-    """Returns the logarithm of the probability of each row after the rows before it; `generator` is the module."""
-    return generator.apply(variables, codes, text_embedding, method="log_likelihood")
 
 
 @functools.partial(jax.jit, static_argnames="generator")
@@ -186,7 +171,8 @@ def encode_motions(
         normalized = [np.asarray(tokenizer.normalizer.normalize(motions[index])) for index in chosen]
         batch = pad_motions(normalized, batch=BATCH, size=size)
         mask = mask_from_lengths(jnp.asarray(batch.lengths), size)
-        found = np.asarray(encode_batch(variables, *put_rows((batch.motion, mask)), tokenizer=tokenizer.module))
+        inputs = put_rows((batch.motion, mask))
+        found = np.asarray(apply_compiled(variables, *inputs, module=tokenizer.module, method="encode"))
         for row, index in enumerate(chosen):
             codes[index] = found[row, : batch.lengths[row] // downsample]
     return codes

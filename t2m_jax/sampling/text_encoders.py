@@ -23,8 +23,9 @@ from t2m_jax.checkpoints.text_encoder import (
 )
 from t2m_jax.errors import UserError
 from t2m_jax.models.caption_encoder import CaptionEncoder, CaptionEncoderConfig, StateEncoder, StateEncoderConfig
-from t2m_jax.models.clip_text import ClipText, ClipTextConfig
-from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
+from t2m_jax.models.clip_text import ClipText
+from t2m_jax.models.rows import apply_compiled
+from t2m_jax.models.sentence_encoder import SentenceEncoder
 from t2m_jax.sampling.batches import fill_up, padded_batch_size
 from t2m_jax.text.bpe import clip_tokens, read_part, tokenize_captions
 from t2m_jax.text.embedding_cache import EmbeddingCache
@@ -32,14 +33,6 @@ from t2m_jax.text.encoder import TextEncoder
 
 MAX_BATCH = 64
 """Captions that a pretrained encoder embeds together."""
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def encode_captions(
-    variables: Any, caption_tokens: Int[Array, "B S"], caption_mask: Bool[Array, "B S"], *, config: CaptionEncoderConfig
-) -> Float[Array, "B E"]:
-    """Returns the text embeddings of captions, given as tokens of the caption encoder."""
-    return CaptionEncoder(config).apply(variables, caption_tokens, caption_mask, train=False)
 
 
 class CaptionTextEncoder:
@@ -54,53 +47,12 @@ class CaptionTextEncoder:
     def __call__(self, captions: Sequence[str]) -> Float[Array, "B E"]:
         """Returns one embedding per caption; long captions are cut."""
         tokens, mask = tokenize_captions(self._bpe, captions, max_length=self._config.max_length)
-        return _finite(encode_captions(self._variables, jnp.asarray(tokens), jnp.asarray(mask), config=self._config))
+        inputs = (jnp.asarray(tokens), jnp.asarray(mask))
+        return _finite(apply_compiled(self._variables, *inputs, module=CaptionEncoder(self._config), train=False))
 
     def read_part(self, caption: str) -> str:
         """Returns the caption up to its last subword that is read."""
         return read_part(self._bpe, caption, max_length=self._config.max_length)
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def encode_clip_tokens(
-    variables: Any, caption_tokens: Int[Array, "B S"], *, config: ClipTextConfig
-) -> Float[Array, "B E"]:
-    """Returns the text embeddings of captions, given as tokens of CLIP."""
-    return ClipText(config).apply(variables, caption_tokens)
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def encode_sentence_tokens(
-    variables: Any,
-    caption_tokens: Int[Array, "B S"],
-    caption_mask: Bool[Array, "B S"],
-    *,
-    config: SentenceEncoderConfig,
-) -> Float[Array, "B E"]:
-    """Returns the text embeddings of captions, given as tokens of a sentence encoder."""
-    return SentenceEncoder(config).apply(variables, caption_tokens, caption_mask)
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def sentence_states(
-    variables: Any,
-    caption_tokens: Int[Array, "B S"],
-    caption_mask: Bool[Array, "B S"],
-    *,
-    config: SentenceEncoderConfig,
-) -> Float[Array, "B S C"]:
-    """Returns the token states of captions, given as tokens of a sentence encoder, in 16 bits."""
-    states = SentenceEncoder(config).apply(variables, caption_tokens, caption_mask, method="states")
-    # As they are stored for training.
-    return states.astype(jnp.float16)
-
-
-@functools.partial(jax.jit, static_argnames="config")
-def encode_states(
-    variables: Any, states: Float[Array, "B S C"], state_mask: Bool[Array, "B S"], *, config: StateEncoderConfig
-) -> Float[Array, "B E"]:
-    """Returns the text embeddings of captions, given as token states."""
-    return StateEncoder(config).apply(variables, states.astype(jnp.float32), state_mask, train=False)
 
 
 class SentenceStates:
@@ -134,7 +86,9 @@ class SentenceStates:
         tokens, mask = _sentence_tokens(self.encoder, fill_up(captions))
         # States are stored and compared across machines, so no device may shorten the products.
         with jax.default_matmul_precision("highest"):
-            return sentence_states(self.encoder.variables, tokens, mask, config=self.encoder.config), mask
+            module = SentenceEncoder(self.encoder.config)
+            states = apply_compiled(self.encoder.variables, tokens, mask, module=module, method="states")
+        return states.astype(jnp.float16), mask  # as they are stored for training
 
     def read_all(self, captions: Sequence[str]) -> Iterator[tuple[str, Float[np.ndarray, "S C"]]]:
         """Yields each caption with the states of its tokens, short captions first."""
@@ -168,7 +122,8 @@ class StatesTextEncoder:
             return jnp.zeros((0, self._config.text_dim))
         states, mask = self._states.read_batch(captions)
         length = self._config.max_length
-        found = encode_states(self._variables, states[:, :length], mask[:, :length], config=self._config)
+        inputs = (states[:, :length].astype(jnp.float32), mask[:, :length])
+        found = apply_compiled(self._variables, *inputs, module=StateEncoder(self._config), train=False)
         return _finite(found[: len(captions)])
 
     def sentence_embeddings(self, sentences: Sequence[str]) -> Float[np.ndarray, "B C"]:
@@ -248,12 +203,12 @@ def _finite(embeddings: Float[Array, "B E"]) -> Float[Array, "B E"]:
 
 def _embed_with_clip(clip: TrainedClip, captions: Sequence[str]) -> Float[Array, "B E"]:
     tokens = clip_tokens(clip.tokenizer, captions, max_length=clip.config.max_length)
-    return encode_clip_tokens(clip.variables, jnp.asarray(tokens), config=clip.config)
+    return apply_compiled(clip.variables, jnp.asarray(tokens), module=ClipText(clip.config))
 
 
 def _embed_sentences(encoder: TrainedSentenceEncoder, captions: Sequence[str]) -> Float[Array, "B E"]:
     tokens, mask = _sentence_tokens(encoder, captions)
-    return encode_sentence_tokens(encoder.variables, tokens, mask, config=encoder.config)
+    return apply_compiled(encoder.variables, tokens, mask, module=SentenceEncoder(encoder.config))
 
 
 def _sentence_tokens(

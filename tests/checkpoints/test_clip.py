@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.clip import TrainedClip, load_clip, save_clip
 from t2m_jax.checkpoints.pretrained import encoder_fingerprint, param_shapes
 from t2m_jax.errors import UserError
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
-from t2m_jax.sampling.text_encoders import encode_clip_tokens
+from t2m_jax.models.rows import apply_compiled
 from t2m_jax.text.bpe import clip_tokens
 from tests.clip_golden import CAPTIONS, FULL, SAFETENSORS, TEXT_ONLY, TORCH, copy_files, golden
 
@@ -24,7 +24,7 @@ PREFIX = "text_model."
 
 def embed(clip: TrainedClip) -> np.ndarray:
     tokens = clip_tokens(clip.tokenizer, CAPTIONS, max_length=clip.config.max_length)
-    return np.asarray(encode_clip_tokens(clip.variables, jnp.asarray(tokens), config=clip.config))
+    return np.asarray(apply_compiled(clip.variables, jnp.asarray(tokens), module=ClipText(clip.config)))
 
 
 def assert_same_clip(found: TrainedClip, wanted: TrainedClip) -> None:

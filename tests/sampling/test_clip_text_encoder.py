@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints.clip import load_clip
+from t2m_jax.models.rows import apply_compiled
 from t2m_jax.sampling import text_encoders
-from t2m_jax.sampling.text_encoders import MAX_BATCH, PretrainedTextEncoder, encode_clip_tokens
+from t2m_jax.sampling.text_encoders import MAX_BATCH, PretrainedTextEncoder
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import TextEncoder
 from tests.clip_golden import CAPTIONS, FULL, TEXT_ONLY, golden
@@ -22,11 +23,11 @@ def batches(monkeypatch):
     """Returns the sizes of the batches that were embedded."""
     sizes = []
 
-    def watched(variables, tokens, *, config):
+    def watched(variables, tokens, *, module):
         sizes.append(len(tokens))
-        return encode_clip_tokens(variables, tokens, config=config)
+        return apply_compiled(variables, tokens, module=module)
 
-    monkeypatch.setattr(text_encoders, "encode_clip_tokens", watched)
+    monkeypatch.setattr(text_encoders, "apply_compiled", watched)
     return sizes
 
 

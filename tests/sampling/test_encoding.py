@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints import TrainedTokenizer
+from t2m_jax.models.rows import apply_compiled
 from t2m_jax.models.system import variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
-from t2m_jax.sampling.programs import BATCH, encode_batch, encode_motions
+from t2m_jax.sampling.programs import BATCH, encode_motions
 from tests.tiny import VQVAE, random_variables
 
 
@@ -31,9 +32,8 @@ def test_batched_codes_equal_those_of_each_motion_alone(tokenizer, motions):
     assert [len(codes) for codes in together] == [len(motion) // 4 for motion in motions]
     for index in (0, 1, 2, 3, 4, len(motions) - 1):
         np.testing.assert_array_equal(together[index], encode_motions(tokenizer, [motions[index]])[0])
-    unpadded = encode_batch(
-        tokenizer.variables, jnp.asarray(motions[0])[None], jnp.ones((1, 40), bool), tokenizer=tokenizer.module
-    )[0]
+    inputs = (jnp.asarray(motions[0])[None], jnp.ones((1, 40), bool))
+    unpadded = apply_compiled(tokenizer.variables, *inputs, module=tokenizer.module, method="encode")[0]
     np.testing.assert_array_equal(together[0], unpadded)
     assert len({tuple(codes.ravel()) for codes in together}) > 60, "codes do not depend on the motion"
 

@@ -20,9 +20,9 @@ from t2m_jax.data.banks.motions import MotionBank, make_bank
 from t2m_jax.data.folder import Clip
 from t2m_jax.data.texts import Caption
 from t2m_jax.masks import mask_from_lengths
-from t2m_jax.models.caption_encoder import StateEncoderConfig, init_network
+from t2m_jax.models.caption_encoder import CaptionEncoder, StateEncoder, StateEncoderConfig, init_network
 from t2m_jax.models.clip_text import ClipText, ClipTextConfig
-from t2m_jax.models.evaluator import EvaluatorConfig, evaluator_shapes
+from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, evaluator_shapes
 from t2m_jax.models.sentence_encoder import SentenceEncoder, SentenceEncoderConfig
 from t2m_jax.models.system import make_module, variable_shapes
 from t2m_jax.motion.normalizer import Normalizer
@@ -49,7 +49,7 @@ from tests.tiny import CAPTION_ENCODER, GPT, VQVAE, random_variables, walking_no
 from tests.tiny import HIFIGPT as TINY_HIFIGPT
 
 CASES: dict[str, Callable[[], "Case"]] = {}
-"""By `module.function`, without `t2m_jax.`."""
+"""By `module.function`, without `t2m_jax.`; after a colon, what it is called for."""
 
 
 class Case(NamedTuple):
@@ -174,10 +174,11 @@ def code_bank(num_quantizers: int = 1) -> CodeBank:
     return CodeBank(codes, jnp.array([[6, 5], [3, 3], [5, 4]]), captions, jnp.arange(3), jnp.ones(3, jnp.int32))
 
 
-@case("sampling.programs.encode_batch")
+@case("models.rows.apply_compiled: encode")
 def _() -> Case:
     mask = mask_from_lengths(jnp.array([16, 9]), 16)
-    return Case((tokenizer_variables(), normal(1, 2, 16, 263), mask), {"tokenizer": make_module(TOKENIZER)}, atol=0)
+    arguments = (tokenizer_variables(), normal(1, 2, 16, 263), mask)
+    return Case(arguments, {"module": make_module(TOKENIZER), "method": "encode"}, atol=0)
 
 
 def decoding() -> tuple:
@@ -280,54 +281,45 @@ def _() -> Case:
     return Case((variables, state, jax.random.split(jax.random.key(4), 2)), options | {"sampling": sampling})
 
 
-@case("sampling.programs.row_likelihoods")
+@case("models.rows.apply_compiled: log_likelihood")
 def _() -> Case:
     variables, text, _ = row_arguments()[0]
     codes = jnp.ones((2, 3, HIFIGPT.num_quantizers), jnp.int32)
-    return Case((variables, codes, text), {"generator": make_module(HIFIGPT)})
+    return Case((variables, codes, text), {"module": make_module(HIFIGPT), "method": "log_likelihood"})
 
 
-@case("sampling.text_encoders.encode_captions")
+@case("models.rows.apply_compiled: caption encoder")
 def _() -> Case:
-    bank, config = code_bank(), TEXT_ENCODER
     params = init_gpt_state(GPT_TRAINING, jax.random.key(0)).params["caption_encoder"]
-    return Case(({"params": params}, *bank.captions), {"config": config})
+    options = {"module": CaptionEncoder(TEXT_ENCODER), "train": False}
+    return Case(({"params": params}, *code_bank().captions), options)
 
 
-@case("sampling.text_encoders.encode_clip_tokens")
+@case("models.rows.apply_compiled: CLIP")
 def _() -> Case:
     tokens = jnp.array([[1, 5, 19, 0, 0, 0], [1, 7, 3, 2, 4, 19]])
     shapes = jax.eval_shape(ClipText(CLIP).init, jax.random.key(0), tokens)
-    return Case((weights(shapes), tokens), {"config": CLIP})
+    return Case((weights(shapes), tokens), {"module": ClipText(CLIP)})
 
 
-def sentence_case(**tolerances: float) -> Case:
-    """Returns the case of a tiny sentence encoder."""
+@case("models.rows.apply_compiled: sentence encoder")
+def _() -> Case:
     tokens = jnp.array([[1, 5, 19, 2, 0, 0], [1, 7, 3, 2, 4, 19]])
     mask = jnp.arange(6)[None] < jnp.array([[4], [6]])
     config = SentenceEncoderConfig(
         vocabulary_size=20, max_length=6, embed_dim=16, num_layers=1, num_heads=2, mlp_dim=32, num_buckets=8
     )
-    shapes = jax.eval_shape(SentenceEncoder(config).init, jax.random.key(0), tokens, mask)
-    return Case((weights(shapes), tokens, mask), {"config": config}, **tolerances)
+    module = SentenceEncoder(config)
+    shapes = jax.eval_shape(module.init, jax.random.key(0), tokens, mask)
+    return Case((weights(shapes), tokens, mask), {"module": module})
 
 
-@case("sampling.text_encoders.encode_sentence_tokens")
-def _() -> Case:
-    return sentence_case()
-
-
-@case("sampling.text_encoders.sentence_states")
-def _() -> Case:
-    # A step of 16 bits.
-    return sentence_case(rtol=1e-3, atol=1e-3)
-
-
-@case("sampling.text_encoders.encode_states")
+@case("models.rows.apply_compiled: state encoder")
 def _() -> Case:
     shapes = jax.eval_shape(lambda: init_network(STATE_ENCODER, jax.random.key(0)))
     mask = mask_from_lengths(jnp.array([4, 6]), 6)
-    return Case((weights(shapes), normal(1, 2, 6, 16).astype(jnp.float16), mask), {"config": STATE_ENCODER})
+    options = {"module": StateEncoder(STATE_ENCODER), "train": False}
+    return Case((weights(shapes), normal(1, 2, 6, 16), mask), options)
 
 
 def evaluator_variables() -> Any:
@@ -349,10 +341,10 @@ def _() -> Case:
     return Case((normal(1, 2, 16, 263), jnp.array([16, 9])), {"skeleton": HUMANML3D}, rtol=1e-4, atol=1e-4)
 
 
-@case("evaluation.embedding.embed")
+@case("models.rows.apply_compiled: evaluator")
 def _() -> Case:
     words = map(jnp.asarray, WORDS.vectorize_all([("walk/VERB", "wave/VERB"), ("wave/VERB",)]))
-    options = {"config": EVALUATOR_TRAINING.model, "method": "embed_text"}
+    options = {"module": Evaluator(EVALUATOR_TRAINING.model), "method": "embed_text"}
     return Case((evaluator_variables(), *words), options, rtol=1e-4, atol=1e-5)
 
 
