@@ -174,19 +174,11 @@ class VqVae(nn.Module):
         return latents, mask
 
     def __call__(
-        self,
-        motion: Float[Array, "B T D"],
-        mask: Bool[Array, "B T"] | None = None,
-        *,
-        train: bool,
-        noise: Float[Array, "2 K C"] | None = None,
+        self, motion: Float[Array, "B T D"], mask: Bool[Array, "B T"] | None = None, *, train: bool
     ) -> VqVaeOutput:
-        """Returns the reconstruction, the codes and the commitment loss; moves the codebook if `train`.
-
-        `noise` can be given instead of drawn, see `Quantizer`.
-        """
+        """Returns the reconstruction, the codes and the commitment loss; moves the codebook if `train`."""
         latents, code_mask = self._latents(motion, mask, train=train)
-        output = self.quantizer(latents, code_mask, train=train, noise=noise)
+        output = self.quantizer(latents, code_mask, train=train)
         reconstruction = self._decode(output.quantized, code_mask, train=train)
         return VqVaeOutput(reconstruction, *output[1:])
 

@@ -128,13 +128,7 @@ def codebook_metrics(output: VqVaeOutput) -> Metrics:
 
 
 def vqvae_train_step(
-    state: VqVaeState,
-    windows: Windows,
-    key: Key[Array, ""],
-    *,
-    config: VqVaeStepConfig,
-    normalizer: Normalizer,
-    noise: Float[Array, "2 K C"] | None = None,
+    state: VqVaeState, windows: Windows, key: Key[Array, ""], *, config: VqVaeStepConfig, normalizer: Normalizer
 ) -> tuple[VqVaeState, Metrics]:
     """Returns the state after one update and the metrics before it.
 
@@ -144,7 +138,6 @@ def vqvae_train_step(
         key: Consumed.
         config: Losses and optimizer.
         normalizer: Statistics of the windows, for bones in meters.
-        noise: Standard normal numbers for new codes, see `Quantizer`; drawn from `key` if None.
     """
     model = VqVae(config.model)
     # What is fixed is left out of the parameters that are differentiated, and put back for `apply`.
@@ -161,7 +154,6 @@ def vqvae_train_step(
             in_precision(windows.motion, config.precision),
             windows.mask,
             train=True,
-            noise=noise,
             rngs={"codebook": key},
             mutable=["codebook", "batch_stats"],  # the codebook moves during the forward pass
         )
