@@ -56,3 +56,10 @@ def check_limits(config: Any, **limits: int) -> None:
         value = getattr(config, name)
         if value > limit:
             raise ValueError(f"{name}: {reprlib.repr(value)} is more than {limit}, the most that is allowed")
+
+
+def check_transformer(config: Any, **limits: int) -> None:
+    """Raises `ValueError` if a field is above its limit (see `check_limits`) or the heads do not divide the width."""
+    check_limits(config, embed_dim=16_384, num_layers=64, **limits)
+    if config.embed_dim % config.num_heads:
+        raise ValueError(f"num_heads: {config.num_heads} does not divide embed_dim {config.embed_dim}")

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from t2m_jax.field_checks import check_limits, check_shares, check_sizes
+from t2m_jax.field_checks import check_shares, check_sizes, check_transformer
 from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block
 
@@ -46,11 +46,8 @@ class CaptionEncoderConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
-        check_limits(self, vocabulary_size=1_000_000, max_length=4096, embed_dim=16_384, num_layers=64, mlp_ratio=64)
-        check_limits(self, text_dim=65_536)
+        check_transformer(self, vocabulary_size=1_000_000, max_length=4096, mlp_ratio=64, text_dim=65_536)
         check_shares(self, "dropout", with_one=False)
-        if self.embed_dim % self.num_heads:
-            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -80,11 +77,8 @@ class StateEncoderConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
-        check_limits(self, state_dim=16_384, max_length=4096, embed_dim=16_384, num_layers=64, mlp_ratio=64)
-        check_limits(self, text_dim=65_536)
+        check_transformer(self, state_dim=16_384, max_length=4096, mlp_ratio=64, text_dim=65_536)
         check_shares(self, "dropout", "token_dropout", with_one=False)
-        if self.embed_dim % self.num_heads:
-            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 
 
 NetworkConfig = CaptionEncoderConfig | StateEncoderConfig

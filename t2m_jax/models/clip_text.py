@@ -8,7 +8,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.field_checks import check_limits, check_sizes
+from t2m_jax.field_checks import check_sizes, check_transformer
 from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import Attention, layer_norm
 
@@ -45,12 +45,9 @@ class ClipTextConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self, *(f.name for f in dataclasses.fields(self) if f.name not in ("end_token", "max_length")))
-        check_limits(self, vocabulary_size=1_000_000, max_length=4096, embed_dim=16_384, num_layers=64, mlp_dim=65_536)
-        check_limits(self, text_dim=65_536)
+        check_transformer(self, vocabulary_size=1_000_000, max_length=4096, mlp_dim=65_536, text_dim=65_536)
         if self.max_length < 2:
             raise ValueError(f"max_length: {self.max_length} leaves no room for a start and an end")
-        if self.embed_dim % self.num_heads:
-            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
         if self.end_token is not None and not 0 <= self.end_token < self.vocabulary_size:
             raise ValueError(f"end_token: {self.end_token} is not one of the {self.vocabulary_size} tokens")
 

@@ -13,7 +13,7 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.field_checks import check_limits, check_shares, check_sizes
+from t2m_jax.field_checks import check_limits, check_shares, check_sizes, check_transformer
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
 from t2m_jax.models.system import Draw, Part, Randomness, draw_depths, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one
@@ -64,11 +64,9 @@ class HiFiGptConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
-        check_limits(self, num_codes=1_000_000, num_quantizers=64, code_dim=65_536, embed_dim=16_384, text_dim=65_536)
-        check_limits(self, num_layers=64, num_residual_layers=64, mlp_ratio=64, max_codes=4096)
+        check_transformer(self, num_codes=1_000_000, num_quantizers=64, code_dim=65_536, text_dim=65_536)
+        check_limits(self, num_residual_layers=64, mlp_ratio=64, max_codes=4096)
         check_shares(self, "dropout", with_one=False)
-        if self.embed_dim % self.num_heads:
-            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
         if self.code_embedding == "frozen" and self.code_dim != self.embed_dim:
             raise ValueError(
                 f"code_embedding: frozen needs code_dim {self.code_dim} to be embed_dim {self.embed_dim}; use projected"

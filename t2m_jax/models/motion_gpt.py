@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from t2m_jax.errors import UserError
-from t2m_jax.field_checks import check_limits, check_shares, check_sizes
+from t2m_jax.field_checks import check_shares, check_sizes, check_transformer
 from t2m_jax.models.projection import WEIGHT_INIT, Projection
 from t2m_jax.models.system import Draw, Part, Randomness, draw_each, log_probabilities
 from t2m_jax.models.transformer import LAYER_NORM_EPSILON, Block, LayerCache, empty_cache, read_causal, read_one
@@ -47,13 +47,10 @@ class MotionGptConfig:
 
     def __post_init__(self) -> None:
         check_sizes(self)
-        check_limits(self, num_codes=1_000_000, embed_dim=16_384, text_dim=65_536, num_layers=64, mlp_ratio=64)
-        check_limits(self, block_size=4096)
+        check_transformer(self, num_codes=1_000_000, text_dim=65_536, mlp_ratio=64, block_size=4096)
         check_shares(self, "dropout", with_one=False)
         if self.block_size < 2:
             raise ValueError(f"block_size: {self.block_size} leaves no position for a code after the text")
-        if self.embed_dim % self.num_heads:
-            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
 
     @property
     def end_token(self) -> int:

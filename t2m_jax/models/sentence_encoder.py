@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from t2m_jax.field_checks import check_amounts, check_limits, check_sizes
+from t2m_jax.field_checks import check_amounts, check_limits, check_sizes, check_transformer
 from t2m_jax.models.projection import WEIGHT_INIT
 from t2m_jax.models.transformer import Attention, layer_norm
 
@@ -55,12 +55,10 @@ class SentenceEncoderConfig:
     def __post_init__(self) -> None:
         check_sizes(self, "vocabulary_size", "max_length", "embed_dim", "num_layers", "num_heads", "mlp_dim")
         check_amounts(self, "first_position", "num_types", "num_buckets", "layer_norm_epsilon")
-        check_limits(self, vocabulary_size=1_000_000, num_positions=16_384, embed_dim=16_384, num_layers=64)
-        check_limits(self, mlp_dim=65_536, num_types=1024, num_buckets=1024)
+        check_transformer(self, vocabulary_size=1_000_000, num_positions=16_384, mlp_dim=65_536)
+        check_limits(self, num_types=1024, num_buckets=1024)
         if self.first_position + self.max_length > self.num_positions:
             raise ValueError(f"max_length: {self.max_length} tokens do not fit {self.num_positions} positions")
-        if self.embed_dim % self.num_heads:
-            raise ValueError(f"num_heads: {self.num_heads} does not divide embed_dim {self.embed_dim}")
         if self.num_buckets % 4:
             raise ValueError(f"num_buckets: {self.num_buckets} is not a multiple of 4")
 
