@@ -121,33 +121,18 @@ def facing_loss(
     return masked_mean(_lengths(along(reconstruction) - along(motion)), mask)
 
 
-def world_velocity_loss(
-    reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer
+def world_loss(
+    reconstruction: Features, motion: Features, mask: Mask, *, order: int, skeleton: Skeleton, normalizer: Normalizer
 ) -> Scalar:
-    """Returns the mean distance of the joints' steps in the world from a frame to the next, in the skeleton's unit.
+    """Returns the mean distance of the joints' differences in time in the world, in the skeleton's unit.
 
-    It contains the root's path and heading. A step counts if both its frames are data. Arguments as for `joint_loss`.
+    Order 1 compares steps from a frame to the next, and order 2 the differences of steps. Both contain the root's path
+    and heading. A difference counts if all its frames are data. Arguments as for `joint_loss`.
     """
     _check_motion(reconstruction, motion, mask)
-    steps = jnp.diff(_world_difference(reconstruction, motion, skeleton, normalizer), axis=1)
-    return masked_mean(_lengths(steps), _runs(mask, 2)[:, :, None])
-
-
-def world_acceleration_loss(
-    reconstruction: Features, motion: Features, mask: Mask, *, skeleton: Skeleton, normalizer: Normalizer
-) -> Scalar:
-    """Returns the mean distance of the differences of the joints' steps, see `world_velocity_loss`."""
-    _check_motion(reconstruction, motion, mask)
-    changes = jnp.diff(_world_difference(reconstruction, motion, skeleton, normalizer), 2, axis=1)
-    return masked_mean(_lengths(changes), _runs(mask, 3)[:, :, None])
-
-
-def _world_difference(
-    reconstruction: Features, motion: Features, skeleton: Skeleton, normalizer: Normalizer
-) -> Float[Array, "B T J 3"]:
-    """Returns how far the joints of a reconstruction are from their places in the world."""
-    positions = positions_from_features(normalizer.denormalize(reconstruction), skeleton)
-    return positions - positions_from_features(normalizer.denormalize(motion), skeleton)
+    apart = positions_from_features(normalizer.denormalize(reconstruction), skeleton)
+    apart -= positions_from_features(normalizer.denormalize(motion), skeleton)
+    return masked_mean(_lengths(jnp.diff(apart, order, axis=1)), _runs(mask, order + 1)[:, :, None])
 
 
 def _runs(mask: Mask, count: int) -> Bool[Array, "B U"]:

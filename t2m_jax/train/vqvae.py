@@ -91,6 +91,7 @@ def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm
         LossTerm("reconstruction", 1.0, functools.partial(losses.reconstruction_loss, **kind)),
         LossTerm("velocity", config.velocity_weight, functools.partial(losses.velocity_loss, **kind, **velocity)),
     ]
+    steps, changes = (functools.partial(losses.world_loss, order=order) for order in (1, 2))
     # The order is part of the result: a sum of floats depends on it.
     optional = [
         LossTerm("acceleration", config.acceleration_weight, functools.partial(losses.acceleration_loss, **kind)),
@@ -98,8 +99,8 @@ def loss_terms(config: VqVaeStepConfig, normalizer: Normalizer) -> list[LossTerm
         LossTerm("joints", config.joint_weight, in_meters(losses.joint_loss)),
         # An angle has no unit of length.
         LossTerm("facing", config.facing_weight, facing),
-        LossTerm("world_velocity", config.world_velocity_weight, in_meters(losses.world_velocity_loss)),
-        LossTerm("world_acceleration", config.world_acceleration_weight, in_meters(losses.world_acceleration_loss)),
+        LossTerm("world_velocity", config.world_velocity_weight, in_meters(steps)),
+        LossTerm("world_acceleration", config.world_acceleration_weight, in_meters(changes)),
     ]
     return [*always, *(term for term in optional if term.weight)]
 

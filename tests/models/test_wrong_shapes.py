@@ -111,8 +111,8 @@ VELOCITY = KIND | {"velocity": "frame_difference", "positions": HUMANML3D.layout
         (losses.bone_loss, IN_METERS),
         (losses.joint_loss, IN_METERS),
         (losses.facing_loss, IN_METERS),
-        (losses.world_velocity_loss, IN_METERS),
-        (losses.world_acceleration_loss, IN_METERS),
+        (losses.world_loss, IN_METERS | {"order": 1}),
+        (losses.world_loss, IN_METERS | {"order": 2}),
     ],
 )
 def test_losses_of_motion_refuse_what_would_broadcast(loss, options):
