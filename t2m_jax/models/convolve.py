@@ -26,9 +26,10 @@ class Window(NamedTuple):
     """Number of zeros at each end of the sequence."""
 
 
-def _general_convolution(
+def general_convolution(
     inputs: Float[Array, "B T X"], kernel: Float[Array, "K X Y"], window: Window
 ) -> Float[Array, "B U Y"]:
+    """Returns the convolved sequence, with the gradient that JAX derives."""
     return jax.lax.conv_general_dilated(
         inputs,
         kernel,
@@ -40,11 +41,11 @@ def _general_convolution(
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(2,))
-def _loop_convolution(
+def loop_convolution(
     inputs: Float[Array, "B T X"], kernel: Float[Array, "K X Y"], window: Window
 ) -> Float[Array, "B U Y"]:
-    """Returns the same as `_general_convolution`, with a gradient that is fast in loops on a CPU."""
-    return _general_convolution(inputs, kernel, window)
+    """Returns the same as `general_convolution`, with a gradient that is fast in loops on a CPU."""
+    return general_convolution(inputs, kernel, window)
 
 
 def _loop_convolution_backward(
@@ -79,8 +80,8 @@ def _loop_convolution_backward(
     return input_gradient, kernel_gradient.transpose(1, 0, 2)
 
 
-_loop_convolution.defvjp(
-    lambda inputs, kernel, window: (_general_convolution(inputs, kernel, window), (inputs, kernel)),
+loop_convolution.defvjp(
+    lambda inputs, kernel, window: (general_convolution(inputs, kernel, window), (inputs, kernel)),
     _loop_convolution_backward,
 )
 
@@ -92,9 +93,8 @@ def convolve(
     stride: int = 1,
     dilation: int = 1,
     padding: int = 0,
-    fast_in_loops: bool | None = None,
 ) -> Float[Array, "B U Y"]:
-    """Returns the convolved sequence.
+    """Returns the convolved sequence. On a CPU, it cannot be differentiated in forward mode.
 
     Args:
         inputs: The sequences.
@@ -102,12 +102,8 @@ def convolve(
         stride: Distance of the positions that are kept.
         dilation: Distance of the taps.
         padding: Number of zeros at each end.
-        fast_in_loops: Whether the gradient is written for XLA's CPU backend. It then cannot be differentiated in
-            forward mode. None means: on a CPU.
     """
-    if fast_in_loops is None:
-        fast_in_loops = jax.default_backend() == "cpu"
-    form = _loop_convolution if fast_in_loops else _general_convolution
+    form = loop_convolution if jax.default_backend() == "cpu" else general_convolution
     return form(inputs, kernel, Window(stride, dilation, padding))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.models.convolution import MaskedConv
-from t2m_jax.models.convolve import convolve, convolve_repeated
+from t2m_jax.models.convolve import Window, convolve, convolve_repeated, general_convolution, loop_convolution
 from t2m_jax.models.vqvae import VqVae
 from tests.jit import optimized
 from tests.tiny import VQVAE
@@ -47,8 +47,8 @@ def value_and_gradients(function, *arguments):
 @pytest.mark.parametrize("length", [19, 20])
 @pytest.mark.parametrize(("kernel_size", "stride", "dilation", "padding"), WINDOWS)
 def test_both_forms_have_the_same_outputs_and_gradients(length, kernel_size, stride, dilation, padding):
-    window = {"stride": stride, "dilation": dilation, "padding": padding}
-    forms = (functools.partial(convolve, **window, fast_in_loops=fast) for fast in (True, False))
+    window = Window(stride, dilation, padding)
+    forms = (functools.partial(form, window=window) for form in (loop_convolution, general_convolution))
     fast, general = (value_and_gradients(form, *arrays(length, kernel_size)) for form in forms)
     for ours, expected in zip(fast, general, strict=True):
         np.testing.assert_allclose(ours, expected, atol=1e-4)
