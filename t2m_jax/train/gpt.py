@@ -70,20 +70,19 @@ class Targets(NamedTuple):
     code_lengths: Int[Array, " B"]
 
 
-def make_targets(
-    codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, num_codes: int, block_size: int
-) -> Targets:
+def make_targets(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: MotionGptConfig) -> Targets:
     """Returns `block_size` targets per motion: its codes, End (= num_codes), then Pad (= num_codes + 1).
 
     Motions are cut after `block_size - 1` codes.
     """
-    code_lengths = jnp.minimum(code_lengths, block_size - 1)
+    block_size = config.block_size
+    code_lengths = jnp.minimum(code_lengths, config.max_codes)
     room = block_size - codes.shape[1]
     padded = jnp.pad(codes, ((0, 0), (0, max(room, 0))))[:, :block_size]
     # Every motion gets an End, also one that was cut.
     position = jnp.arange(block_size)[None]
-    tokens = jnp.where(position < code_lengths[:, None], padded, num_codes + 1)
-    return Targets(jnp.where(position == code_lengths[:, None], num_codes, tokens), code_lengths)
+    tokens = jnp.where(position < code_lengths[:, None], padded, config.end_token + 1)
+    return Targets(jnp.where(position == code_lengths[:, None], config.end_token, tokens), code_lengths)
 
 
 def drop_one_code(
@@ -200,11 +199,6 @@ def gpt_train_step(state: TrainState, batch: GptBatch, *, config: GptStepConfig)
     return generator.descend_trained(state, measure, batch, config=config, generator="gpt")
 
 
-def targets_from_codes(codes: Int[Array, "B N"], code_lengths: Int[Array, " B"], *, config: GptStepConfig) -> Targets:
-    """Returns the targets of motions."""
-    return make_targets(codes, code_lengths, num_codes=config.model.num_codes, block_size=config.model.block_size)
-
-
 def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfig) -> GptBatch:
     """Returns the batch of an update: some motions lose a code at one end, and some inputs are replaced."""
     seed = config.loop.seed
@@ -216,7 +210,7 @@ def training_batch(bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfi
     drop = jax.vmap(lambda key: jax.random.bernoulli(key, config.drop_probability))(drop_keys)
     at_head = jax.vmap(jax.random.bernoulli)(head_keys)
     codes, code_lengths = drop_one_code(codes[:, :, 0], code_lengths, drop, at_head=at_head)
-    targets = targets_from_codes(codes, code_lengths, config=config)
+    targets = make_targets(codes, code_lengths, config=config.model)
     tau: Any = config.tau
     if tau == "per_batch":  # one key for all rows and devices
         tau = jax.random.uniform(jax.random.fold_in(stream_key(seed, "tau"), step))
@@ -239,7 +233,7 @@ def update(state: TrainState, bank: CodeBank, *, config: GptStepConfig) -> tuple
 def validate(state: TrainState, bank: CodeBank, step: Int[Array, ""], *, config: GptStepConfig) -> Metrics:
     """Returns loss and accuracy on a batch of held-out motions, with clean inputs."""
     codes, code_lengths, captions = generator.codes_at(bank, "validation", step, config=config)
-    targets = targets_from_codes(codes[:, :, 0], code_lengths, config=config)
+    targets = make_targets(codes[:, :, 0], code_lengths, config=config.model)
     return gpt_metrics(state.params, make_gpt_batch(targets, captions, config=config), config=config)
 
 

@@ -30,7 +30,7 @@ step = jax.jit(gpt_train_step, static_argnames="config")
 
 def batch(config=GPT_TRAINING):
     codes = jax.random.randint(jax.random.key(2), (4, 7), 0, GPT.num_codes)
-    targets = make_targets(codes, jnp.array([7, 3, 5, 0]), num_codes=GPT.num_codes, block_size=9)
+    targets = make_targets(codes, jnp.array([7, 3, 5, 0]), config=dataclasses.replace(GPT, block_size=9))
     tokens = jax.random.randint(jax.random.key(3), (4, 16), 2, 90)
     captions = CaptionTokens(tokens, jnp.arange(16)[None] < jnp.array([4, 16, 9, 1])[:, None])
     keys = jax.random.split(jax.random.key(4), (4, 2))

@@ -38,7 +38,7 @@ def windows() -> Windows:
 
 def gpt_batch() -> GptBatch:
     codes = jax.random.randint(jax.random.key(2), (3, 7), 0, GPT.num_codes)
-    targets = make_targets(codes, jnp.array([7, 3, 5]), num_codes=GPT.num_codes, block_size=GPT.block_size)
+    targets = make_targets(codes, jnp.array([7, 3, 5]), config=GPT)
     tokens = jax.random.randint(jax.random.key(3), (3, 16), 2, 90)
     captions = CaptionTokens(tokens, jnp.arange(16)[None] < jnp.array([4, 16, 9])[:, None])
     keys = jax.random.split(jax.random.key(4), (3, 2))
@@ -71,7 +71,7 @@ def test_the_caption_reaches_the_loss():
 
 def test_accuracy_is_over_tokens_whatever_the_loss_is():
     codes = jax.random.randint(jax.random.key(2), (3, 7), 0, GPT.num_codes)
-    targets = make_targets(codes, jnp.array([7, 3, 5]), num_codes=GPT.num_codes, block_size=GPT.block_size)
+    targets = make_targets(codes, jnp.array([7, 3, 5]), config=GPT)
     configs = [dataclasses.replace(GPT_TRAINING, mean_over=kind) for kind in ("motions", "tokens")]
     batches = [make_gpt_batch(targets, jnp.zeros((3, 16)), config=config) for config in configs]
     np.testing.assert_array_equal(batches[0].accuracy_weights, batches[1].accuracy_weights)

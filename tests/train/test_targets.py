@@ -28,7 +28,7 @@ def test_golden_targets(golden_dir):
         )
         codes, lengths = drop_one_code(codes, lengths, drop, at_head=~drop_tail)
         assert all(arrays[f"{case}/nb_code"] == 512 for case in chosen)
-        targets = jax.device_get(make_targets(codes, lengths, num_codes=512, block_size=block))
+        targets = jax.device_get(make_targets(codes, lengths, config=MotionGptConfig(num_codes=512, block_size=block)))
         np.testing.assert_array_equal(targets.tokens, [arrays[f"{case}/target"] for case in chosen])
         np.testing.assert_array_equal(targets.code_lengths, [arrays[f"{case}/n_tokens"] for case in chosen])
 
@@ -126,7 +126,7 @@ def test_head_and_tail_are_dropped():
 
 @pytest.mark.slow
 def test_long_motions_are_cut_to_leave_room_for_end():
-    targets = make_targets(jnp.arange(9)[None], jnp.array([9]), num_codes=20, block_size=6)
+    targets = make_targets(jnp.arange(9)[None], jnp.array([9]), config=MotionGptConfig(num_codes=20, block_size=6))
     np.testing.assert_array_equal(targets.tokens, [[0, 1, 2, 3, 4, 20]])
 
 
@@ -135,6 +135,6 @@ def test_jit_equals_eager():
     codes, lengths = jnp.arange(12).reshape(3, 4), jnp.array([4, 2, 0])
 
     def build(codes, lengths):
-        return make_targets(codes, lengths, num_codes=30, block_size=7)
+        return make_targets(codes, lengths, config=MotionGptConfig(num_codes=30, block_size=7))
 
     assert_jit_equals_eager(jax.jit(build), codes, lengths)

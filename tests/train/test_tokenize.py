@@ -18,7 +18,7 @@ from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
-from t2m_jax.train.gpt import targets_from_codes, training_batch
+from t2m_jax.train.gpt import make_targets, training_batch
 from t2m_jax.train.tokenize import balanced_weights, encode_clips, fill_rows, make_code_bank, with_share
 from tests.tiny import CAPTIONS, LOOP, VQVAE, gpt_training, random_variables
 
@@ -211,7 +211,7 @@ def test_targets_of_a_batch(tmp_path):
     end = config.model.end_token
     pad = end + 1
     codes, lengths = np.tile(np.arange(1, 7), (200, 1)), np.full(200, 6)
-    plain = targets_from_codes(jnp.asarray(codes), jnp.asarray(lengths), config=config)
+    plain = make_targets(jnp.asarray(codes), jnp.asarray(lengths), config=config.model)
     expected = [1, 2, 3, 4, 5, 6, end, *[pad] * (config.model.block_size - 7)]
     np.testing.assert_array_equal(plain.tokens, np.tile(expected, (200, 1)))
     bank = CodeBank(
