@@ -184,9 +184,11 @@ class PretrainedTextEncoder:
         # Embeddings are cached and compared across machines, so no device may shorten the products.
         with jax.default_matmul_precision("highest"):
             if isinstance(encoder, TrainedClip):
-                embeddings = _embed_with_clip(encoder, filled)
+                tokens = jnp.asarray(clip_tokens(encoder.tokenizer, filled, max_length=encoder.config.max_length))
+                embeddings = apply_compiled(encoder.variables, tokens, module=ClipText(encoder.config))
             else:
-                embeddings = _embed_sentences(encoder, filled)
+                inputs = _sentence_tokens(encoder, filled)
+                embeddings = apply_compiled(encoder.variables, *inputs, module=SentenceEncoder(encoder.config))
         return np.asarray(_finite(embeddings))[: len(captions)]
 
 
@@ -199,16 +201,6 @@ def _finite(embeddings: Float[Array, "B E"]) -> Float[Array, "B E"]:
     if not np.isfinite(np.asarray(embeddings)).all():
         raise UserError("the text encoder makes numbers that are not finite; its files are damaged or of another model")
     return embeddings
-
-
-def _embed_with_clip(clip: TrainedClip, captions: Sequence[str]) -> Float[Array, "B E"]:
-    tokens = clip_tokens(clip.tokenizer, captions, max_length=clip.config.max_length)
-    return apply_compiled(clip.variables, jnp.asarray(tokens), module=ClipText(clip.config))
-
-
-def _embed_sentences(encoder: TrainedSentenceEncoder, captions: Sequence[str]) -> Float[Array, "B E"]:
-    tokens, mask = _sentence_tokens(encoder, captions)
-    return apply_compiled(encoder.variables, tokens, mask, module=SentenceEncoder(encoder.config))
 
 
 def _sentence_tokens(
