@@ -1,8 +1,8 @@
 // Makes a motion with the graphs of `t2m export onnx` and Microsoft.ML.OnnxRuntime.
 //
-//     OrtSampler FOLDER "101 1037 2711 3788 102" SEED wave.bin
+//     OrtSampler FOLDER "2 43 931 5582 3" SEED walk.bin
 //
-// The second argument has the tokens of a sentence. Positions are written as float32, [frames, joints, 3].
+// The second argument has the tokens of a sentence, here "a person walks" with `demo`. Positions are written as float32, [frames, joints, 3].
 using System;
 using System.Collections.Generic;
 using System.IO;

@@ -13,14 +13,15 @@ from t2m_jax.errors import UserError, printable
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    parser.add_argument("path", help="run, bundle, bundled name, evaluator, data set, or report (.json)")
+    parser.add_argument("path", help="run, bundle, evaluator, name of a packaged one, data set, or report (.json)")
 
 
 def run(args: argparse.Namespace) -> None:
     """Prints a line for each part."""
     from t2m_jax.checkpoints.bundle import bundle_path
+    from t2m_jax.checkpoints.evaluator import evaluator_path
 
-    path = bundle_path(args.path)
+    path = evaluator_path(bundle_path(args.path))
     if path.is_file():
         sys.stdout.write(printable(f"{path}: intact, {_describe_report(path)}") + "\n")
         return

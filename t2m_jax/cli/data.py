@@ -37,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     synthetic = add(run_synthetic, "make a data-set folder of computed motions, without a download")
     check = add(run_check, "count the contents of a data-set folder and find its faults")
     _add_importers(importer)
-    rig.add_argument("file", type=Path, metavar="FILE", help="a .bvh, .glb, .vrm or .amc file")
+    rig.add_argument(
+        "file", type=Path, metavar="FILE", help="a .bvh, .glb, .vrm, .vrma or .amc file, or a .npz file of AMASS"
+    )
     rig.add_argument("-o", "--output", type=Path, metavar="FILE", help="table to write (default: print it)")
     for command in (sheet, check):
         command.add_argument("folder", type=Path, metavar="DIR", help="data-set folder")

@@ -116,7 +116,9 @@ def _add_table_arguments(table: argparse.ArgumentParser) -> None:
 
 def _add_protocol_arguments(parser: argparse.ArgumentParser, *, needs_evaluator: bool) -> None:
     _add_data_arguments(parser)
-    evaluator = "folder of an evaluator, or run of `t2m train evaluator`" + ("" if needs_evaluator else " (optional)")
+    evaluator = "folder of an evaluator, run of `t2m train evaluator`, benchmark-free or benchmark-nc"
+    if not needs_evaluator:
+        evaluator += " (optional)"
     parser.add_argument("--evaluator", required=needs_evaluator, metavar="E", help=evaluator)
     parser.add_argument(
         "--protocol",

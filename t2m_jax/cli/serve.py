@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> None:
         raise UserError(f"t2m serve: needs {error.name}; pip install 't2m-jax[serve]'") from None
 
     # Options of a process can be seen by all users of a computer, variables cannot.
-    token = args.token or os.environ.get(TOKEN_VARIABLE)
+    token = args.token or os.environ.get(TOKEN_VARIABLE) or None
     # Whoever reaches the server can keep it busy, so an open one must be meant.
     if args.host not in LOOPBACK and not token:
         raise UserError(f"--host: {args.host} can be reached by others; set a token in ${TOKEN_VARIABLE} or --token")

@@ -37,9 +37,9 @@ class Changes:
     mirror: bool = False
     """Whether left and right are exchanged, also in the caption."""
     speed: float = 1.0
-    """How much faster the motion is played; below 1 is slower."""
+    """How much faster the motion is played, 0.1 to 10; below 1 is slower."""
     turn: float = 0.0
-    """Degrees by which the path bends evenly to the left; below 0 to the right."""
+    """Degrees, -720 to 720, by which the path bends evenly to the left; below 0 to the right. Excludes `path`."""
     path: tuple[tuple[float, float], ...] = ()
     """Points on the ground to walk through: x and z in meters; +x is at the left of a figure that faces +z."""
     fps: float | None = None

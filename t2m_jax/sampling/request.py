@@ -269,7 +269,9 @@ class MotionRequest:
         }
         for name, is_given in others.items():
             if is_given:
-                raise UserError(f"targets: are for a new motion of one sentence, or a span to redo; leave out {name}")
+                raise UserError(
+                    f"targets: targets are for a new motion of one sentence, or a span to redo; leave out {name}"
+                )
 
     def _check_candidates(self) -> None:
         if not (isinstance(self.candidates, Integral) and 1 <= self.candidates <= MAX_BATCH):

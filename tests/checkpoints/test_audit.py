@@ -89,6 +89,11 @@ def test_a_bundle_without_checksums_is_not_intact(copy, capsys):
     assert "manifest.txt: there is no such file" in capsys.readouterr().out
 
 
+def test_packaged_models_and_evaluators_have_names(capsys):
+    assert [main(["check", name]) for name in ("demo-free", "benchmark-free")] == [0, 0]
+    assert capsys.readouterr().out.count(": intact") >= 4
+
+
 def test_data_sets_and_other_paths(models, capsys, tmp_path):
     assert main(["check", f"{models / 'data'}"]) == 0
     assert "no problems found" in capsys.readouterr().out

@@ -157,7 +157,7 @@ def test_chains_that_are_refused(refusal, bundle_folder, tmp_path, tmp_path_fact
         (["--at", "1", "root=0,0", "--then", "a person waves"], "a span to redo; leave out a second sentence"),
         (
             ["--at", "1", "root=0,0", "--seconds", "2"],
-            "--at: are for a new motion of one sentence, or a span to redo;",
+            "--at: targets are for a new motion of one sentence, or a span to redo;",
         ),
         (["--at", "900", "root=0,0"], "--at: root at 900 s: the longest motion for a sentence has"),
     ],

@@ -41,6 +41,9 @@ def test_the_token_of_the_environment_is_asked_for(monkeypatch):
     monkeypatch.setenv(TOKEN_VARIABLE, "secret")
     assert main(["serve", "--host", "0.0.0.0"]) == 0 and given["token"] == "secret"
     assert main(["serve", "--token", "other"]) == 0 and given["token"] == "other"
+    # No token would fit an empty one.
+    monkeypatch.setenv(TOKEN_VARIABLE, "")
+    assert main(["serve"]) == 0 and given["token"] is None
 
 
 def test_a_port_that_is_used(capsys):
