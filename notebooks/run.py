@@ -13,7 +13,7 @@ import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
-NUM_COLORS = 256
+NUM_COLORS = 96
 
 
 def small_picture(data: str) -> str:

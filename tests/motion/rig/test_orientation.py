@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from t2m_jax.data.importers import bvh
+from t2m_jax.data.importers import motion_files
 from t2m_jax.data.importers.bvh import import_bvh_folder
 from t2m_jax.data.importers.motion_files import find_motion_files, open_motion_file
 from t2m_jax.errors import UserError
@@ -94,7 +94,7 @@ def test_an_import_says_what_it_turned_and_takes_the_users_word(tmp_path):
 
 def test_an_import_says_that_it_turned_a_figure(clip, tmp_path, monkeypatch):
     for up, degrees in (("y", 0.0), ("z", 90.0)):
-        monkeypatch.setattr(bvh, "load_bvh", lambda path, rig, by=degrees: turned(clip, "x", by, rest=True))
+        monkeypatch.setattr(motion_files, "load_bvh", lambda path, rig, by=degrees: turned(clip, "x", by, rest=True))
         report = import_bvh_folder(tmp_path, tmp_path / "data" / up, caption_from_name=True)
         assert any("Z was up; turned" in note for note in report.notes) == (up == "z")
 
