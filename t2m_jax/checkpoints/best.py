@@ -68,11 +68,6 @@ def save_best(run: Path, best: Best, fields: Mapping[str, Any]) -> None:
                 shutil.rmtree(other) if other.is_dir() else other.unlink()
 
 
-def forget_best(run: Path) -> None:
-    """Removes what an earlier, unfinished start in the same folder may have left."""
-    shutil.rmtree(run / BEST_FOLDER, ignore_errors=True)
-
-
 def restore_trained(run: Path, like: Mapping[str, Any]) -> dict[str, Any]:
     """Returns some fields of a run's state: the best weights if any were chosen, else the newest.
 

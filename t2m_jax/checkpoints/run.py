@@ -28,6 +28,8 @@ CONFIG_FILE = "config.yaml"
 INFO_FILE = "run.yaml"
 DATA_FILE = "training_data.json"
 CHECKPOINTS = "checkpoints"
+STARTED = ".started"
+"""In a folder that is not yet a run: what is there is of a start that was interrupted, and may be written again."""
 
 FORMAT_VERSION = 4
 """Version of runs: checkpoints have manifests, and `config.yaml` has a checksum."""
@@ -71,6 +73,19 @@ def is_run(path: Path) -> bool:
     return (path / INFO_FILE).is_file()
 
 
+def begin_run(path: Path) -> None:
+    """Makes the folder of a run that is started, with a file that says so until `create_run`."""
+    path.mkdir(parents=True, exist_ok=True)
+    (path / STARTED).touch()
+
+
+def foreign_file(path: Path) -> str:
+    """Returns the name of a file in a folder that no interrupted start of a run has left; empty if there is none."""
+    if not path.is_dir() or (path / STARTED).exists():
+        return ""
+    return min((entry.name for entry in path.iterdir() if not entry.name.startswith(".")), default="")
+
+
 def create_run(path: Path, kind: str, config: Any, *, data: str | None = None) -> None:
     """Makes a folder a run directory; call this when everything else that a run needs is in the folder.
 
@@ -81,6 +96,7 @@ def create_run(path: Path, kind: str, config: Any, *, data: str | None = None) -
     save_run_config(path, config)
     # Last, because a folder without this file is not a run: an interrupted start can simply be repeated.
     save_config(path / INFO_FILE, RunInfo(kind=kind, data=data))
+    (path / STARTED).unlink(missing_ok=True)
 
 
 def save_run_config(path: Path, config: Any) -> None:
@@ -284,10 +300,10 @@ class Checkpoints:
         return dict(like) | {name: restored[name][name] for name in saved}
 
 
-def has_checkpoint(run: Path) -> bool:
-    """Returns whether a run has a checkpoint."""
+def newest_step(run: Path) -> int:
+    """Returns the updates of the newest checkpoint of a run; 0 if there is none."""
     with Checkpoints(run) as checkpoints:
-        return bool(checkpoints.steps())
+        return max(checkpoints.steps(), default=0)
 
 
 def restore_latest(run: Path, state: Any) -> Any:

@@ -10,10 +10,10 @@ import jax
 import numpy as np
 from flax import traverse_util
 
-from t2m_jax.checkpoints.bundle import BUNDLED, WEIGHTS_FILE, bundle_path
+from t2m_jax.checkpoints.bundle import BUNDLED, bundle_path
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.model import load_model
-from t2m_jax.checkpoints.run import CONFIG_FILE, is_run, run_config_text, run_info
+from t2m_jax.checkpoints.run import CONFIG_FILE, foreign_file, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.config import flat_fields, load_config
 from t2m_jax.data.checks import check_feature_dim, find_difference
@@ -64,8 +64,8 @@ def check_new_run(run: Path) -> None:
     """Raises `UserError` if a folder cannot become a run."""
     if is_run(run):
         raise UserError(f"{run}: contains a run already; add --resume to continue it, or choose another --run")
-    if (run / WEIGHTS_FILE).exists():  # they would be loaded instead of the run's
-        raise UserError(f"{run}: contains a model already; choose another --run")
+    if name := foreign_file(run):  # it could be overwritten
+        raise UserError(f"{run}: contains {name} and is no run; choose another --run, or empty the folder")
     if str(run) in BUNDLED:
         raise UserError(f"run: {run} is the name of a packaged model; choose another --run")
 

@@ -11,7 +11,7 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.evaluator import WORDS_FILE, load_trained_evaluator, save_evaluator_parts
-from t2m_jax.checkpoints.run import has_checkpoint
+from t2m_jax.checkpoints.run import newest_step
 from t2m_jax.data.banks import captions
 from t2m_jax.data.folder import Clip, DatasetInfo, samples_from_clip
 from t2m_jax.devices import global_mean, global_rows
@@ -204,7 +204,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     samples, validated = (matching_samples(clips, dataset.info) for clips in (train, held_out))
     vocabulary = make_vocabulary(config, samples, resume=resume)
     # The state that is restored has the movement encoder and the word vectors; their files may be gone.
-    is_restored = resume and has_checkpoint(config.run)
+    is_restored = resume and newest_step(config.run) > 0
     table = None if is_restored else load_table(config, vocabulary)
     config = dataclasses.replace(config, model=dataclasses.replace(config.model, num_words=len(vocabulary)))
     options: dict[str, Any] = {"config": compiled_config(config), "max_frames": dataset.info.max_frames}

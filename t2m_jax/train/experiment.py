@@ -15,8 +15,15 @@ from typing import Any, NamedTuple
 
 import jax
 
-from t2m_jax.checkpoints.best import forget_best
-from t2m_jax.checkpoints.run import DATA_FILE, create_run, has_checkpoint, restore_latest, run_info, save_run_config
+from t2m_jax.checkpoints.run import (
+    DATA_FILE,
+    begin_run,
+    create_run,
+    newest_step,
+    restore_latest,
+    run_info,
+    save_run_config,
+)
 from t2m_jax.data.banks.host import FeedPlan
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.summary import save_training_data, summarize_training_data
@@ -156,6 +163,9 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         config = trainer.resolve(config, resume)
         if resume:
             checks.check_same_config(config)
+        done = newest_step(config.run) if resume else 0
+        if done > config.loop.num_steps:
+            raise UserError(f"loop.num_steps: {config.loop.num_steps}, but {config.run} has made {done} updates")
         setup = trainer.prepare(config, resume)
         if resume:
             checks.check_same_data(config, setup.dataset)
@@ -165,7 +175,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
             choose_devices(config.sharding, batch_size=config.loop.batch_size)
         state = None
         # A run that ended before its first checkpoint starts from `init` again, as it did the first time.
-        if config.init is not None and not (resume and has_checkpoint(config.run)):
+        if config.init is not None and not done:
             state = setup.init()
             given = setup.start_from(config.init)
             if config.init_parts == "fitting":
@@ -186,7 +196,7 @@ def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
     if resume:
         save_run_config(config.run, config)  # so that a run that is extended says so
         return
-    forget_best(config.run)  # a folder that is no run may have those of a run that was removed
+    begin_run(config.run)
     setup.write_parts(config.run)
     save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
     create_run(config.run, config.kind, config, data=checks.data_record(setup.dataset))

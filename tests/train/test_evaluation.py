@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from t2m_jax.checkpoints import best as best_files
-from t2m_jax.checkpoints.best import BEST_FOLDER, Best, find_best, forget_best, restore_trained, save_best
+from t2m_jax.checkpoints.best import BEST_FOLDER, Best, find_best, restore_trained, save_best
 from t2m_jax.checkpoints.evaluator import load_trained_evaluator, save_evaluator
 from t2m_jax.checkpoints.model import load_generator_run
 from t2m_jax.checkpoints.run import Checkpoints, save_run_config
@@ -269,12 +269,10 @@ def test_what_makes_no_sense_is_refused(schema, fields, says):
     ],
 )
 def test_the_best_is_kept_by_the_direction_of_its_metric(metric, figures, steps, tmp_path):
-    def look(resume):
-        if not resume:
-            forget_best(tmp_path)
+    def look():
         return BestWeights(tmp_path, metric=metric, sampling="greedy", evaluator="e")
 
-    best = look(False)
+    best = look()
     for step, (value, expected) in enumerate(zip(figures, steps, strict=True), start=1):
         best.consider(step, {metric: value, "other": -value}, {"params": {"a": np.full(2, step, np.float32)}})
         assert (best.best and best.best.step) == expected
@@ -283,8 +281,7 @@ def test_the_best_is_kept_by_the_direction_of_its_metric(metric, figures, steps,
             found = restore_trained(tmp_path, {"params": {"a": np.zeros(2, np.float32)}})
             np.testing.assert_array_equal(found["params"]["a"], expected)
             assert [path.name for path in (tmp_path / BEST_FOLDER).iterdir()] == [f"{expected}"]
-    assert look(True).best == best.best
-    assert look(False).best is None and not list(tmp_path.iterdir())
+    assert look().best == best.best
 
 
 def test_the_same_update_measured_again_is_not_kept_again(tmp_path):

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from t2m_jax.checkpoints.run import STARTED, is_run
 from t2m_jax.cli.main import main
 from t2m_jax.config import config_from_dict, save_config
 from t2m_jax.data.files import FEATURES
 from t2m_jax.errors import UserError
-from t2m_jax.train import TrainEvaluatorConfig, TrainVqVaeConfig, train
+from t2m_jax.train import TrainEvaluatorConfig, TrainVqVaeConfig, experiment, train
 from t2m_jax.train.config import ShardingConfig
 from t2m_jax.train.gpt import TrainGptConfig
 from t2m_jax.train.hifigpt import TrainHiFiGptConfig
@@ -134,7 +135,7 @@ def test_devices_that_are_not_there(runs, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(("run", "says"), [("demo", "packaged model"), ("folder", "contains a model already")])
+@pytest.mark.parametrize(("run", "says"), [("demo", "packaged model"), ("folder", "contains weights.safetensors and")])
 def test_folders_that_are_models_do_not_become_runs(runs, tmp_path, monkeypatch, run, says):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder").mkdir()
@@ -143,3 +144,34 @@ def test_folders_that_are_models_do_not_become_runs(runs, tmp_path, monkeypatch,
         train(vqvae_training(runs.data, Path(run)))
     assert not Path("demo").exists()
     assert [path.name for path in (tmp_path / "folder").iterdir()] == ["weights.safetensors"]
+
+
+def test_a_folder_with_other_files_does_not_become_a_run(runs, tmp_path):
+    """What is there would be written over: the statistics of a data set, a config of its user."""
+    folder = shutil.copytree(runs.data, tmp_path / "data")
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with pytest.raises(UserError, match=r"data: contains Mean\.npy and is no run; choose another --run"):
+        train(vqvae_training(folder, folder))
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_an_interrupted_start_is_started_again(runs, tmp_path, monkeypatch):
+    config = vqvae_training(runs.data, tmp_path / "run")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / ".DS_Store").touch()
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(experiment, "create_run", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
+        train(config)
+    assert (tmp_path / "run" / "Mean.npy").exists() and not is_run(tmp_path / "run")
+    train(config)
+    assert is_run(tmp_path / "run") and not (tmp_path / "run" / STARTED).exists()
+
+
+def test_a_run_is_not_made_shorter(runs, tmp_path):
+    config = vqvae_training(runs.data, tmp_path / "run")
+    train(config)
+    before = (tmp_path / "run" / "config.yaml").read_bytes()
+    shorter = dataclasses.replace(config, loop=dataclasses.replace(config.loop, num_steps=config.loop.num_steps - 1))
+    with pytest.raises(UserError, match=r"loop\.num_steps: \d+, but .* has made \d+ updates"):
+        train(shorter, resume=True)
+    assert (tmp_path / "run" / "config.yaml").read_bytes() == before
