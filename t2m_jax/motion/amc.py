@@ -232,12 +232,16 @@ def _read_motion(path: Path, figure: _Skeleton) -> tuple[dict[str, Float[np.ndar
     """Returns the values of each bone that moves, and the skeleton with their unit of angles."""
     names = {ROOT, *figure.parents}
     frames: list[dict[str, list[float]]] = []
+    number = 0
     for place, words in _lines(path):
         if words[0].startswith(":"):
             unit = _RADIANS.get(words[0][1:4].lower(), figure.radians_per_unit)
             figure = figure._replace(radians_per_unit=unit)
             continue
-        if len(words) == 1 and re.fullmatch(r"\d+", words[0]):
+        if len(words) == 1 and re.fullmatch(r"\d{1,9}", words[0]):
+            if frames and int(words[0]) != number + 1:
+                raise UserError(f"{place}: frame {words[0]} comes after frame {number}; frames are missing or doubled")
+            number = int(words[0])
             frames.append({})
             continue
         if not frames or words[0] not in names or words[0] in frames[-1]:

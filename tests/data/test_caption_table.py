@@ -46,6 +46,38 @@ def test_many_forms_of_one_table_give_the_same_captions(tmp_path, text):
     assert said == {"a": [WALK], "b": [TURN]} and not problems
 
 
+def test_columns_that_are_read_may_have_capitals(tmp_path):
+    path = tmp_path / "captions.csv"
+    path.write_text(f"File,Caption,Split,ACTION,Person,SHA256,Scene\na,{WALK},test,walk,ann,0123,hall\n")
+    table = load_caption_table(path, keys=("a",))
+    assert table.columns == ("split", "action", "person", "sha256", "Scene")
+    assert find_entries(table, ("a",))[0].cells["split"] == "test"
+
+
+def test_columns_of_one_name_are_all_read(tmp_path):
+    said, problems, _ = read(tmp_path, f"file,caption,caption\na,{WALK},a second one\n")
+    assert said["a"] == [WALK, "a second one"] and not problems
+
+
+def test_times_may_end_with_finish_but_not_with_a_duration(tmp_path):
+    path = tmp_path / "captions.csv"
+    path.write_text(f"file,caption,begin,finish\na,{WALK},1,2.5\n")
+    assert find_entries(load_caption_table(path, keys=("a",)), ("a",))[0].span == (1.0, 2.5)
+    for name in ("duration", "length_s"):
+        path.write_text(f"file,caption,start,{name}\na,{WALK},1,2.5\n")
+        with pytest.raises(UserError, match=f":1: '{name}' is not read; write when a caption ends"):
+            load_caption_table(path, keys=("a",))
+    # How long a motion is does not matter.
+    path.write_text(f"file,caption,duration\na,{WALK},2.5\n")
+    assert find_entries(load_caption_table(path, keys=("a",)), ("a",))[0].span == (0.0, 0.0)
+
+
+def test_a_quote_that_goes_on_in_the_next_line_is_a_problem(tmp_path):
+    said, problems, _ = read(tmp_path, f'file,caption\na,"a man\nwalks"\nb,"{TURN}"\n')
+    assert said == {"a": [], "b": [TURN]}
+    assert any(":2: a quote is not closed" in problem for problem in problems)
+
+
 def test_what_was_guessed_is_noted(tmp_path):
     _, _, notes = read(tmp_path, f"clip,text\na,{WALK}\nb,{TURN}\n")
     assert any("read from 'text'" in note for note in notes)

@@ -49,6 +49,8 @@ def test_real_recordings_stand_on_the_floor_and_left_is_left(shared_data):
         (("thigh 30 0", "thigh 30 1e400"), r"02_01\.amc:6: '30 1e400' are not numbers"),
         (("thigh 30 0", "knee 30 0"), r"02_01\.amc:6: expected .* not 'knee'"),
         (("\nthigh 0 0", ""), r"02_01\.amc: frame 2 has other bones"),
+        (("\n2\n", "\n4\n"), r"02_01\.amc:\d+: frame 4 comes after frame 1; frames are missing"),
+        (("\n2\n", "\n1\n"), r"02_01\.amc:\d+: frame 1 comes after frame 1; frames are missing or doubled"),
         ((AMC, "# nothing\n"), r"02_01\.amc: has no frames"),
         (("length 0.45", "length 0"), r"02\.asf:4: length is 0"),
         (("length 0.45", "length 1e-300"), r"02\.asf:4: length is 1e-300; expected 0\.0001 to 10000"),

@@ -8,15 +8,8 @@ from textwrap import shorten
 from typing import NamedTuple
 
 from t2m_jax.data.files import MAX_NAME
-from t2m_jax.data.importers.caption_table import (
-    CaptionEntry,
-    CaptionTable,
-    caption_tokens,
-    find_entries,
-    load_caption_table,
-    tagged_caption,
-    with_span,
-)
+from t2m_jax.data.importers.caption_table import CaptionEntry, CaptionTable, find_entries, load_caption_table
+from t2m_jax.data.importers.plain_captions import caption_tokens, tagged_caption, with_span
 from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text

@@ -10,9 +10,9 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from t2m_jax.data.captioning.lexicon import tag_words
 from t2m_jax.data.folder import first_names
-from t2m_jax.data.texts import Caption, parse_caption
+from t2m_jax.data.importers.plain_captions import tagged_caption
+from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text
 
@@ -22,7 +22,7 @@ DELIMITERS = (",", ";", "\t", "|")
 NAMES = {
     "caption": ("caption", "captions", "text", "description", "sentence", "annotation", "prompt", "label"),
     "start": ("start", "from", "begin"),
-    "end": ("end", "to", "stop"),
+    "end": ("end", "to", "stop", "finish", "until"),
     "file": ("file", "filename", "path", "filepath", "bvh", "clip", "motion", "take", "name", "id"),
 }
 """Names of columns by what is in them, the best ones first. One word of several is enough: `Clip name`, `Start (s)`."""
@@ -32,6 +32,9 @@ SPLIT = "split"
 """Columns of tables whose rows are clips (see `table_parts`)."""
 DIGEST = "sha256"
 """Column with the first digits of the SHA-256 of each motion file."""
+KNOWN = (ACTION, PERSON, SPLIT, DIGEST)
+LENGTHS = frozenset({"duration", "length", "dur", "len"})
+"""Words in the name of a column that says how long a caption holds."""
 NOT_SECONDS = frozenset({"frame", "frames", "ms", "msec", "milliseconds"})
 """Words in the name of a column of times that are not seconds."""
 MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)$", re.IGNORECASE)
@@ -65,44 +68,6 @@ class CaptionTable(NamedTuple):
     """What was guessed."""
 
 
-def tagged_caption(text: str, *, source: str, start: str = "", end: str = "") -> Caption:
-    """Returns a caption with tokens from plain text.
-
-    Raises:
-        UserError: The text has a `#` or no words, a time is not a number, or the end is before the start.
-    """
-    if "#" in text:
-        raise UserError(f"{source}: the caption has a '#', which the text format cannot store; remove it")
-    text = " ".join(text.split())
-    line = f"{text}#{' '.join(caption_tokens(text, source=source))}#{start.strip() or 0.0}#{end.strip() or 0.0}"
-    return with_span(parse_caption(line, source=source), source=source)
-
-
-def with_span(caption: Caption, *, source: str) -> Caption:
-    """Returns a caption of a part of a motion or of all of it; an end of zero is the end of the motion.
-
-    Raises:
-        UserError: Its times are no part of a motion.
-    """
-    if caption.start < 0 or 0 != caption.end <= caption.start:
-        raise UserError(
-            f"{source}: {caption.start:g} to {caption.end:g} s: the start must be 0 or more, and the end after it"
-        )
-    return caption
-
-
-def caption_tokens(text: str, *, source: str) -> tuple[str, ...]:
-    """Returns the tokens of a caption.
-
-    Raises:
-        UserError: It has no words.
-    """
-    tokens = tag_words(text)
-    if not tokens:
-        raise UserError(f"{source}: the caption {text[:40]!r} has no words; say what the motion shows")
-    return tokens
-
-
 def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTable:
     """Returns the rows of a `.csv` file, or of lines `file: caption` (or with a tab in place of the colon).
 
@@ -121,7 +86,13 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
     notes: tuple[str, ...] = ()
     if path.suffix.lower() == ".csv":
         layout = _find_layout(path, numbered[0][1] if numbered else "", keys)
-        rows = [_read_entry(f"{path}:{number}", line, layout) for number, line in numbered[layout.has_header :]]
+        # A quote that a later line closes: a cell of two lines. Without such a line, it only looks like one.
+        odd = {number for number, line in numbered if line.count('"') % 2}
+        is_open = {number: number in odd and number < max(odd) for number, _ in numbered}
+        rows = [
+            _read_entry(f"{path}:{number}", line, layout, is_open=is_open[number])
+            for number, line in numbered[layout.has_header :]
+        ]
         columns = tuple(layout.others)
         notes = layout.notes
         joined = [row.place.rpartition(":")[2] for row, count in rows if count]
@@ -219,9 +190,10 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     """Returns the layout that a header describes, None if it does not name files and captions."""
     names = [re.sub(r"[\W_]+", "_", cell.strip().lower()).strip("_") for cell in cells]
     found = _find_columns(names)
-    # Several captions may be in several columns: caption_1, caption_2.
+    # Several captions may be in several columns: caption_1, caption_2, or twice caption.
     stems = [name.rstrip("0123456789").rstrip("_") for name in names]
-    counted = {stem for stem, name in zip(stems, names, strict=True) if stem in NAMES["caption"] and stem != name}
+    numbered = [stem for stem, name in zip(stems, names, strict=True) if stem != name or names.count(name) > 1]
+    counted = set(numbered) & set(NAMES["caption"])
     first = () if found["caption"] is None else (found["caption"],)
     captions = tuple(place for place, stem in enumerate(stems) if stem in counted) or first
     if found["file"] is None or not captions:
@@ -231,7 +203,13 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
         if _is_not_seconds(names[place]):
             raise UserError(f"{path}:1: times are seconds, but the column {cells[place]!r} has others; convert it")
     used = (found["file"], *captions, *times.values())
-    others = {cell: place for place, cell in enumerate(cells) if place not in used}
+    # Columns that are read have one name; users name the others as they are.
+    others = {
+        names[place] if names[place] in KNOWN else cell: place for place, cell in enumerate(cells) if place not in used
+    }
+    lengths = [name for name in names if LENGTHS & {*name.split("_")}]
+    if list(times) == ["start"] and lengths:
+        raise UserError(f"{path}:1: {lengths[0]!r} is not read; write when a caption ends in a column `end`")
     notes = (f"{path}: captions are read from {', '.join(repr(cells[place]) for place in captions)}",)
     is_plain = [names[place] for place in captions] == ["caption"] and names[found["file"]] == "file"
     return _Layout(delimiter, True, found["file"], captions, times, others, len(cells), () if is_plain else notes)
@@ -284,7 +262,7 @@ def _join_commas(cells: list[str], layout: _Layout) -> tuple[list[str], int]:
     return cells, 0
 
 
-def _read_entry(place: str, line: str, layout: _Layout) -> tuple[CaptionEntry, int]:
+def _read_entry(place: str, line: str, layout: _Layout, *, is_open: bool) -> tuple[CaptionEntry, int]:
     """Returns a row and the number of commas without quotes in its caption."""
     try:
         cells = _split_line(line, layout.delimiter)
@@ -296,6 +274,9 @@ def _read_entry(place: str, line: str, layout: _Layout) -> tuple[CaptionEntry, i
     joined = 0
     # Quotes say where a caption ends, and so do semicolons and tabs, which hardly any caption has.
     has_quotes = re.search(r'(?:^|,)\s*"', line) is not None
+    if is_open:
+        problem = f"{place}: a quote is not closed; write all of the row on one line"
+        return CaptionEntry(place, _motion_key(cells[layout.file]), (), problem, {}), 0
     if len(layout.captions) == 1 and layout.delimiter == "," and not has_quotes:
         cells, joined = _join_commas(cells, layout)
     if len(cells) > layout.width:
