@@ -101,6 +101,12 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
     return _times(caption, _find_counts(caption, countable))
 
 
+def uncounted(caption: str, countable: Collection[str]) -> str:
+    """Returns the words of a number of times that no motion is made for, such as "100 times", "" if there are none."""
+    found = [said for said in _find_counts(caption, countable) if said.action]
+    return next((said.words for said in found if not 1 <= number_value(said.number) <= MOST_TIMES), "")
+
+
 def counting_words(caption: str, countable: Collection[str]) -> frozenset[str]:
     """Returns the words of a sentence that say how often, in lower case."""
     found = _find_counts(caption, countable)

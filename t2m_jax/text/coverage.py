@@ -6,11 +6,12 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from t2m_jax.text.counts import MOST_TIMES, uncounted
 from t2m_jax.text.meanings import Embed, Meanings, Nearest, sentence_of
 from t2m_jax.text.path_shapes import find_path_shape
 from t2m_jax.text.quantities import quantity_words
 from t2m_jax.text.subjects import subject_problems
-from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, word_set, words_of
+from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, clause_before, word_set, words_of
 
 MIN_USES = 100
 """A word is known if the captions use it this often."""
@@ -41,6 +42,8 @@ NUMBERS = word_set(
     eighteen nineteen twenty thirty forty fifty sixty seventy eighty ninety hundred thousand dozen twice thrice"""
 )
 
+NOT = frozenset({"never", "nobody", "not"})
+"""Words before what is not done. Others, such as "without" in "without stopping", hardly matter."""
 OPTIONS = {"degree": "the option `turn` bends the path by degrees", "second": "the option `seconds` sets the length"}
 """What a person may use in place of words, by the unit of a number that has no effect."""
 
@@ -165,6 +168,8 @@ def check_coverage(
     followed = quantity_words(prompt, countable)
     unknown = [word for word in _unknown_words(words, knowledge) if word.text not in followed]
     problems = [*_problems(words, unknown, knowledge), *_path_problems(prompt, unknown, knowledge)]
+    if often := uncounted(prompt, countable):
+        problems.append(f"{often}: numbers of times from 1 to {MOST_TIMES} are counted")
     if read_part != prompt:
         # The end of what is read tells where the prompt was cut.
         problems.append(f"too long, so cut after {_shortened(read_part[::-1])[::-1]!r}")
@@ -191,6 +196,8 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
         yield "write it in the language and style of the training captions"
     if knowledge.words:
         yield from subject_problems(words)
+    if undone := _undone(words, knowledge.actions):
+        yield f"not {undone}: words like 'not' have no effect; say what the person does"
     if not knowledge.actions or not all(found.is_same for found in nearest.values()):
         return
     missing = "" if is_foreign else _missing(words, knowledge)
@@ -198,6 +205,14 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
         yield f"the training data have no motion like {missing!r}"
     elif not nearest and not has_action(words, knowledge.actions):
         yield from _no_action(words, knowledge)
+
+
+def _undone(words: Sequence[Word], actions: Collection[str]) -> str:
+    """Returns a known action that a prompt says is not done, "" if there is none."""
+    for place, word in enumerate(words):
+        if word.action in actions and not NOT.isdisjoint(clause_before(words, place)[-2:]):
+            return word.text
+    return ""
 
 
 def _missing(words: Sequence[Word], knowledge: Knowledge) -> str:

@@ -109,8 +109,13 @@ def bases_of(words: Iterable[Word]) -> frozenset[str]:
 
 def is_negated(before: Sequence[Word]) -> bool:
     """Returns whether one of the last words of a clause says that what comes after them is not done."""
-    clause = itertools.takewhile(lambda word: word.text not in CLAUSE_STARTS, before[:-5:-1])
-    return re.search(NEGATION, " ".join(word.text for word in reversed(list(clause)))) is not None
+    return re.search(NEGATION, " ".join(clause_before(before, len(before)))) is not None
+
+
+def clause_before(words: Sequence[Word], place: int) -> list[str]:
+    """Returns up to four words before a place, as far as they are in its clause."""
+    clause = itertools.takewhile(lambda word: word.text not in CLAUSE_STARTS, words[:place][:-5:-1])
+    return [word.text for word in clause][::-1]
 
 
 def _actions(clause: Sequence[str]) -> list[str]:

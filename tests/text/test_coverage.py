@@ -77,6 +77,24 @@ def test_a_warning_names_what_has_no_effect_and_what_the_model_knows(demo, promp
     assert warning.isprintable() and len(warning) < 380
 
 
+@pytest.mark.parametrize(
+    ("prompt", "said"),
+    [
+        ("a person does not walk", "not walk: words like 'not' have no effect"),
+        ("a person doesn't walk, he stands", "not walk: words like 'not' have no effect"),
+        ("nobody waves", "not waves: "),
+        ("he walks without stopping", ""),
+        ("a person runs, not too fast", ""),
+        ("a person jumps 0 times", "0 times: numbers of times from 1 to 20 are counted"),
+        ("a person jumps a hundred times", "hundred times: numbers of times from 1 to 20"),
+        ("a person jumps twenty times", ""),
+    ],
+)
+def test_what_is_not_done_and_cannot_be_counted_is_said(demo, prompt, said):
+    warning = check_coverage(prompt, demo, read_part=prompt, countable=("jump",)).warning
+    assert said in warning if said else not warning
+
+
 def test_words_that_matter_little_are_only_listed(demo):
     prompt = "My cousin walks forward in the cathedral, the cathedral"
     assert check_coverage(prompt, demo, read_part=prompt) == ("", ("cathedral",))
