@@ -13,7 +13,7 @@ from t2m_jax.data.banks.captions import caption_tokens
 from t2m_jax.data.body_checks import check_copies, check_twin
 from t2m_jax.data.cache import cache_places, damage, scan_sources
 from t2m_jax.data.caption_checks import check_speeds, check_twin_captions
-from t2m_jax.data.checks import compare_statistics
+from t2m_jax.data.checks import check_rate, compare_statistics
 from t2m_jax.data.clip_audit import AuditedClip, audit_clip
 from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
@@ -106,16 +106,6 @@ def check_overlap(splits: dict[str, tuple[str, ...]]) -> list[str]:
                 problems.append(f"{split}.txt: {original} or its mirrored twin is in {home[original]}.txt, too")
             home.setdefault(original, split)
     return problems
-
-
-def check_rate(info: DatasetInfo, skeleton: Skeleton) -> list[str]:
-    """Returns whether a data set has another frame rate than its skeleton, at which models show all motion."""
-    if info.fps == skeleton.fps:
-        return []
-    return [
-        f"{INFO}: fps: {info.fps:g}, but features of skeleton {skeleton.name} have {skeleton.fps:g} frames per second, "
-        "and models show them so; correct it, or import the motion again"
-    ]
 
 
 def check_clips_together(

@@ -4,9 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from t2m_jax.data.folder import Dataset
+from t2m_jax.data.files import INFO
+from t2m_jax.data.folder import Dataset, DatasetInfo
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.motion.skeleton import Skeleton
 
 STATISTICS_TOLERANCE = 0.5
 """Largest allowed `StatisticsDifference` between a model and the data that it is used with.
@@ -33,6 +35,16 @@ def compare_statistics(
     shift = np.max(np.abs(mean - other_mean) / other_std)
     # In logarithms, twice and half the deviation are equally different.
     return StatisticsDifference(float(shift), float(np.max(np.abs(np.log(std / other_std)))))
+
+
+def check_rate(info: DatasetInfo, skeleton: Skeleton) -> list[str]:
+    """Returns whether a data set has another frame rate than its skeleton, at which models show all motion."""
+    if info.fps == skeleton.fps:
+        return []
+    return [
+        f"{INFO}: fps: {info.fps:g}, but features of skeleton {skeleton.name} have {skeleton.fps:g} frames per second, "
+        "and models show them so; correct it, or import the motion again"
+    ]
 
 
 def check_feature_dim(dataset: Dataset, feature_dim: int, *, reader: str) -> None:

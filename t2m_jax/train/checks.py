@@ -16,7 +16,7 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.run import CONFIG_FILE, foreign_file, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.config import flat_fields, load_config
-from t2m_jax.data.checks import check_feature_dim, find_difference
+from t2m_jax.data.checks import check_feature_dim, check_rate, find_difference
 from t2m_jax.data.folder import Dataset, open_dataset
 from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
@@ -117,6 +117,19 @@ def _fingerprint(model: str) -> str:
     return load_model(path).fingerprint if (path / BUNDLE_FILE).is_file() else load_tokenizer(path).fingerprint
 
 
+def open_data(folder: Path, *, resume: bool) -> Dataset:
+    """Returns the data set of a training.
+
+    Raises:
+        UserError: It cannot be read, or has another frame rate than its skeleton and is new.
+    """
+    dataset = open_dataset(folder)
+    problems = [] if resume else check_rate(dataset.info, dataset.skeleton)
+    if problems:
+        raise UserError(f"{dataset.folder}/{problems[0]}")
+    return dataset
+
+
 def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Dataset, Normalizer]:
     """Returns the data set of a config, and its statistics or those of the run that is resumed.
 
@@ -128,7 +141,7 @@ def open_training_data(config: Any, *, reader: str, resume: bool) -> tuple[Datas
     Raises:
         UserError: The data set or the statistics cannot be read, or do not fit the model.
     """
-    dataset = open_dataset(config.data)
+    dataset = open_data(config.data, resume=resume)
     check_feature_dim(dataset, config.model.feature_dim, reader=reader)
     # A run has a copy, so that the file may be gone or changed.
     if resume:

@@ -15,7 +15,7 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
-from t2m_jax.data.folder import Clip, Dataset, open_dataset
+from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import INDEX, is_single, label_actions, load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
@@ -27,6 +27,7 @@ from t2m_jax.text.bpe import save_bpe
 from t2m_jax.text.caption_states import CaptionStates
 from t2m_jax.train import tokenize
 from t2m_jax.train.captions import CaptionReader, make_caption_reader, open_text_encoder, state_width
+from t2m_jax.train.checks import open_data
 from t2m_jax.train.config import InitParts, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
@@ -152,7 +153,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     Raises:
         UserError: Data, tokenizer and generator do not fit.
     """
-    dataset = open_dataset(config.data)
+    dataset = open_data(config.data, resume=resume)
     tokenizer = load_tokenizer(config.run if resume else config.vqvae)
     tokenize.check_tokenizer(tokenizer, dataset, may_differ=config.init is not None)
     clips = training_clips(config, dataset, "train", fraction=config.data_fraction)

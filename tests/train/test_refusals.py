@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import shutil
 from pathlib import Path
 
@@ -175,3 +176,15 @@ def test_a_run_is_not_made_shorter(runs, tmp_path):
     with pytest.raises(UserError, match=r"loop\.num_steps: \d+, but .* has made \d+ updates"):
         train(shorter, resume=True)
     assert (tmp_path / "run" / "config.yaml").read_bytes() == before
+
+
+@pytest.mark.parametrize("stage", ["vqvae", "gpt"])
+def test_data_of_another_frame_rate_are_refused(runs, tmp_path, stage):
+    """Models show all motion at the rate of its skeleton."""
+    folder = shutil.copytree(runs.data, tmp_path / "data")
+    path = folder / "dataset.yaml"
+    path.write_text(re.sub(r"fps: .*", "fps: 30.0", path.read_text()))
+    run = tmp_path / "run"
+    with pytest.raises(UserError, match=r"dataset\.yaml: fps: 30, but features of skeleton"):
+        train(vqvae_training(folder, run) if stage == "vqvae" else gpt_training(folder, runs.vqvae, run))
+    assert not run.exists()
