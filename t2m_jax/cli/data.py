@@ -100,6 +100,8 @@ def _add_importers(importer: argparse.ArgumentParser) -> None:
     bvh.add_argument("--seed", type=int, default=0, help="seed of the split into train, val and test")
     frozen = "use just the table: no written captions, the same bytes as its column sha256, all rows or nothing"
     bvh.add_argument("--frozen", action="store_true", help=frozen)
+    twins = "do not add mirrored twins, whose captions have left and right exchanged only if they are English"
+    bvh.add_argument("--no-twins", dest="twins", action="store_false", help=twins)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -108,7 +110,7 @@ def run(args: argparse.Namespace) -> None:
     if report is None:
         return
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
-    twins = "" if args.run_command is run_replay else "; with mirrored twins"
+    twins = "; with mirrored twins" if args.run_command is not run_replay and getattr(args, "twins", True) else ""
     _show(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames{twins}): {sizes}")
     _print_lines(report.notes, indent="  ")
     if report.left_out:

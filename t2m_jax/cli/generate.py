@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from t2m_jax.cli.options import (
     add_model_argument,
     add_record,
-    add_rig_argument,
+    add_rig_arguments,
     naming_options,
     option_of,
     read_record,
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--at", nargs=2, action="append", metavar=("TIME", "PLACE"), help=at)
     pose = "a pose at a time: the first frame of a motion file; 'FILE exact' to 5 mm; can be repeated"
     parser.add_argument("--pose", nargs=2, action="append", metavar=("TIME", "FILE"), help=pose)
-    add_rig_argument(parser, "the file of --from")
+    add_rig_arguments(parser, "the file of --from")
     add_record(parser, Changes)
     add_file_arguments(parser)
     formats = ".npz .bvh .glb .vrma .gif .mp4 .png or .html"
@@ -78,6 +78,8 @@ def run(args: argparse.Namespace) -> None:
     count = sum(request.num_samples for request in requests)
     outputs = [check_motion_output(output) for output in args.output or ["motion.html"]]
     changes = read_record(Changes, args)
+    if changes.clean and requests[0].options.raw:
+        raise UserError("--raw: excludes --clean")
     options = {output: file_options(output, args, outputs) for output in outputs}
     character = open_character(args, outputs)
     from t2m_jax.sampling.pipeline import TextToMotion  # slow, so only now
@@ -122,10 +124,11 @@ def _requests(args: argparse.Namespace) -> "Iterator[MotionRequest]":
 
     if args.then and len(args.text) > 1:
         raise UserError(f"--then: follows one sentence, not {len(args.text)}; use it for each further sentence")
-    if args.rig is not None and args.start is None and args.character is None:
-        raise UserError(f"--rig {args.rig}: is for a file to go on from; add --from FILE")
+    for name, value in (("rig", None if args.character else args.rig), ("up", args.up)):
+        if value is not None and args.start is None:
+            raise UserError(f"--{name} {value}: is for a file to go on from; add --from FILE")
     rig = args.rig if args.character is None else None
-    start = None if args.start is None else load_motion(args.start, rig=rig)
+    start = None if args.start is None else load_motion(args.start, rig=rig, up=args.up)
     targets = tuple(_targets(args))
     for text in args.text:
         yield read_record(MotionRequest, args, captions=(text, *(args.then or ())), start=start, targets=targets)

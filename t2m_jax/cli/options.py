@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import re
 import shlex
 import sys
 import typing
@@ -115,6 +116,7 @@ def naming_options() -> Iterator[None]:
         if name not in SHORT:
             raise
         reason = reason.replace("give it as start", f"give it with {SHORT['start']}")
+        reason = re.sub(r"excludes (\w+)", lambda other: f"excludes {option_of(other[1])}", reason)
         raise UserError(f"{SHORT[name]}: {reason}") from None
 
 
@@ -131,10 +133,11 @@ def add_seed_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="start of every random choice (default: 0)")
 
 
-def add_rig_argument(parser: argparse.ArgumentParser, files: str) -> None:
-    """Declares the rig of files that are read."""
+def add_rig_arguments(parser: argparse.ArgumentParser, files: str) -> None:
+    """Declares the rig of files that are read, and their axis that points up."""
     text = f"rig of {files}: a name, or a table as `t2m data rig` writes it (default: recognized from the joints)"
     parser.add_argument("--rig", metavar="TABLE", help=text)
+    parser.add_argument("--up", choices=("y", "z"), help=f"axis that points up in {files} (default: found)")
 
 
 def positive(text: str) -> int:

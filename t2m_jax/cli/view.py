@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from t2m_jax.cli.options import add_record, add_rig_argument, naming_options, option_of, read_record, show_written
+from t2m_jax.cli.options import add_record, add_rig_arguments, naming_options, option_of, read_record, show_written
 from t2m_jax.errors import UserError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="motions to read: .npz, .bvh, .glb, .vrma, .amc, or .npy of a data set; several are shown side by side",
     )
     parser.add_argument("--animation", metavar="NAME", help="animation to read from a .glb file that has several")
-    add_rig_argument(parser, "files with other joints")
+    add_rig_arguments(parser, "files with other joints")
     join = "make one motion of the files: each begins where the one before it ends; other options change the whole"
     parser.add_argument("--join", action="store_true", help=join)
     add_record(parser, Changes)
@@ -104,6 +104,24 @@ def open_character(args: argparse.Namespace, outputs: Sequence[Path]) -> "Charac
     return character
 
 
+def read_options(args: argparse.Namespace) -> dict[Path, dict[str, str]]:
+    """Returns the options with which each file is read: of several files, those that its format has.
+
+    Raises:
+        UserError: No file has an option that was given.
+    """
+    from t2m_jax.motion.formats import reader_options
+
+    # With a character, the rig is that of its joints.
+    given = {"animation": args.animation, "rig": None if args.character else args.rig, "up": args.up}
+    known = {path: reader_options(path) for path in args.files}
+    for name, value in given.items():
+        if value is not None and not any(name in options for options in known.values()):
+            kinds = ", ".join(sorted({path.suffix.lower() for path in args.files}))
+            raise UserError(f"--{name}: {kinds} files have none; leave it out")
+    return {path: {name: given[name] for name in options if given[name] is not None} for path, options in known.items()}
+
+
 def joined(files: Sequence[Path], motions: "Sequence[Motion]") -> "Motion":
     """Returns one motion of all, at the frame rate of the first.
 
@@ -145,11 +163,11 @@ def run(args: argparse.Namespace) -> None:
     changes = read_record(Changes, args)
     options = {output: file_options(output, args, args.outputs) for output in args.outputs}
     character = open_character(args, args.outputs)
-    rig = args.rig if character is None else None
+    chosen = read_options(args)
     if changes.clean:
         use_compilation_cache()  # the clean-up takes longer to compile than to run
     with claim(args.outputs):
-        motions = [load_motion(path, animation=args.animation, rig=rig) for path in args.files]
+        motions = [load_motion(path, **chosen[path]) for path in args.files]
         if args.join:
             motions = [joined(args.files, motions)]
         motions = [changes.apply(motion) for motion in motions]

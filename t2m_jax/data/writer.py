@@ -77,9 +77,15 @@ def write_clip(
 
 
 def write_twins(
-    folder: Path, name: str, positions: Float[np.ndarray, "T J 3"], *, captions: Sequence[Caption], skeleton: Skeleton
+    folder: Path,
+    name: str,
+    positions: Float[np.ndarray, "T J 3"],
+    *,
+    captions: Sequence[Caption],
+    skeleton: Skeleton,
+    twins: bool = True,
 ) -> int:
-    """Writes a clip and its mirrored twin from joint positions and returns the number of feature rows of each.
+    """Writes a clip and, with `twins`, its mirrored twin; returns the number of feature rows of each.
 
     The twin is encoded from mirrored positions, not by flipping features: the legs of the template are not equally
     long, and the rotation features have no mirror image.
@@ -90,7 +96,7 @@ def write_twins(
     mirrored = (MIRROR_PREFIX + name, mirror_positions(positions, skeleton), [mirror(caption) for caption in captions])
     # Both are checked before one is written, so that no clip is without its twin.
     pair = []
-    for twin, joints, said in ((name, positions, captions), mirrored):
+    for twin, joints, said in ((name, positions, captions), *([mirrored] if twins else [])):
         features = features_from_positions(joints, skeleton)
         if len(features) == 0 or not np.all(np.isfinite(features)):
             raise UserError(f"{twin}: no finite features; the clip has fewer than two frames or a bone without length")

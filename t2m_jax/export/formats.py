@@ -43,23 +43,26 @@ def save_bvh_file(
     save_bvh(path, only_motion(path, motions), names=names, units=units, root_bone=root_bone)
 
 
-def load_bvh_file(path: Path, *, rig: str | None = None) -> Motion:
+def load_bvh_file(path: Path, *, rig: str | None = None, up: Up = "auto") -> Motion:
     """Returns the motion of a BVH file; see `load_bvh`.
 
     Args:
         path: The file.
         rig: Name of a rig or a YAML table; by default the joints are recognized (see `find_rig`).
+        up: The axis that points up; by default the one along which the figure stands.
 
     Raises:
-        UserError: The file is damaged, or does not show a person.
+        UserError: The file is damaged, does not show a person, or may have either axis up.
     """
     table = None if rig is None else resolve_rig(rig)
-    return motion_of_clip(path, load_bvh(path, rig=table), rig=table)
+    return motion_of_clip(path, load_bvh(path, rig=table), rig=table, up=up)
 
 
-def load_amc_file(path: Path, *, rig: str | None = None) -> Motion:
-    """Returns the motion of an AMC file; see `load_amc`. For `rig` and errors, see `load_bvh_file`."""
-    return motion_of_clip(path, load_amc(path), rig=rig)
+def load_amc_file(path: Path, *, rig: str | None = None, up: Up = "auto") -> Motion:
+    """Returns the motion of an AMC file; see `load_amc`. For `rig`, `up` and errors, see `load_bvh_file`."""
+    clip = load_amc(path)
+    logger.info("%s: AMC files do not say their rate; %g frames per second were assumed", path, clip.fps)
+    return motion_of_clip(path, clip, rig=rig, up=up)
 
 
 def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None = None) -> Motion:

@@ -31,7 +31,19 @@ def motion_formats() -> tuple[str, ...]:
     return tuple(sorted(_entry_points(WRITERS)))
 
 
-def load_motion(path: str | Path, *, animation: str | None = None, rig: str | None = None) -> Any:
+def reader_options(path: Path) -> frozenset[str]:
+    """Returns which of `animation`, `rig` and `up` can be chosen for a file, by its suffix.
+
+    Raises:
+        UserError: The suffix is unknown.
+    """
+    known = inspect.signature(_entry_point(READERS, path).load()).parameters
+    return frozenset(known) & {"animation", "rig", "up"}
+
+
+def load_motion(
+    path: str | Path, *, animation: str | None = None, rig: str | None = None, up: str | None = None
+) -> Any:
     """Returns the `Motion` of a file: `.npz`, `.bvh`, `.glb`, `.vrma`, `.amc`, or a data set's `.npy`.
 
     Args:
@@ -40,18 +52,20 @@ def load_motion(path: str | Path, *, animation: str | None = None, rig: str | No
             several.
         rig: Name of a rig or a YAML table with joints of the file, such as `pelvis: Hips`, for files of skeletons; by
             default they are recognized.
+        up: The axis that points up in a file of a skeleton, `y` or `z`; by default found from the figure.
 
     Raises:
         UserError: The suffix is unknown, the file does not contain a motion, is too long, or has several motions and
-            none was chosen.
+            none was chosen, or files of its kind do not have what was chosen.
     """
     path = Path(path)
     read = _entry_point(READERS, path).load()
     if not path.is_file():
         raise UserError(f"{path}: there is no such file")
-    # Only formats with several motions in a file or with any skeleton have a choice; the others need not know of it.
-    known = inspect.signature(read).parameters
-    chosen = {name: value for name, value in (("animation", animation), ("rig", rig)) if name in known}
+    given = {"animation": animation, "rig": rig, "up": up}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if unknown := sorted(chosen.keys() - reader_options(path)):
+        raise UserError(f"{unknown[0]}: {path} has none, as all {path.suffix} files; leave it out")
     try:
         motion = read(path, **chosen)
     except (UserError, OSError, MemoryError):

@@ -124,9 +124,10 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
             ["--redo", "1:2", "--from", "{start}", "--then", "a person waves"],
             "--redo: takes one sentence",
         ),
-        (["--redo", "1:2", "--from", "{start}", "--vary", "0.5"], "--redo: excludes strength"),
+        (["--redo", "1:2", "--from", "{start}", "--vary", "0.5"], "--redo: excludes --vary"),
         (["--vary", "0.5", "--from", "{start}", "--at", "1", "root=0,0"], "leave out a variation"),
         (["--from", "{start}", "--at", "1", "root=0,0"], "leave out a motion to continue"),
+        (["--raw", "--clean"], "--raw: excludes --clean"),
         (["--vary", "1.5", "--from", "{start}"], "--vary: 1.5 is not a number from 0 to 1"),
         (
             ["--candidates", "0", "--redo", "1:2", "--from", "{start}"],
@@ -186,7 +187,7 @@ def test_every_field_of_the_records_is_an_option():
     options = {action.dest for action in parser._actions}
     fields = {field.name for record in (MotionRequest, Changes) for field in fields_of(record)}
     assert fields - options == {"captions", "strategy", "targets", "begin", "end"}  # other options, or only in Python
-    files = {"at", "pose", "names", "units", "root_bone", "camera", "output", "rig", "character"}
+    files = {"at", "pose", "names", "units", "root_bone", "camera", "output", "rig", "up", "character"}
     assert options - fields == {"text", "then", "trim", "help", "model"} | files
 
 

@@ -187,6 +187,14 @@ def test_humanml3d_folders_are_copied_without_what_is_missing(folder, tmp_path):
     assert audit_dataset(tmp_path / "copy").problems == []
 
 
+def test_an_import_says_that_lists_overlap(folder, tmp_path):
+    name = open_dataset(folder).names("train")[0]
+    with (folder / "test.txt").open("a") as file:
+        file.write(f"{name}\n")
+    report = import_humanml3d(folder, tmp_path / "copy")
+    assert any(f"1 clips are in two lists, or twice in one, such as test.txt: {name}" in note for note in report.notes)
+
+
 @pytest.mark.parametrize(
     "pattern", ["new_joint_vecs/*", "new_joints/*", "texts/*", "train.txt", "Mean.npy", "dataset.yaml", "index.csv"]
 )

@@ -39,6 +39,16 @@ def test_captions_from_a_table(tmp_path):
     assert audit_dataset(tmp_path / "data").problems == []
 
 
+def test_clips_without_twins(tmp_path):
+    """Sides are exchanged in English captions only."""
+    source = write_clips(tmp_path / "source", ["a", "b"])
+    (source / "captions.csv").write_text("file,caption\na,eine Person hebt die linke Hand\nb,sie winkt links\n")
+    report = import_bvh_folder(source, tmp_path / "data", twins=False)
+    assert report.num_clips == 2 and set(all_captions(tmp_path / "data")) == {"a", "b"}
+    assert report.num_frames == sum(len(np.load(path)) for path in (tmp_path / "data").glob("new_joint_vecs/*.npy"))
+    assert audit_dataset(tmp_path / "data").problems == []
+
+
 def test_captions_beside_the_files(tmp_path):
     source = write_clips(tmp_path / "source", ["a", "b"])
     (source / "a.txt").write_text("a man walks\n\nsomeone is walking\n")

@@ -130,7 +130,8 @@ def test_loading_goes_by_the_suffix(monkeypatch, tmp_path):
     for suffix in ("TXT", "two"):
         (tmp_path / f"wave.{suffix}").write_text("a file")
     assert Motion.load(str(tmp_path / "wave.TXT")).caption == "motion of a file"
-    assert formats.load_motion(tmp_path / "wave.TXT", animation="b").caption == "motion of a file"
+    with pytest.raises(UserError, match=r"animation: .*wave\.TXT has none, as all \.TXT files"):
+        formats.load_motion(tmp_path / "wave.TXT", animation="b")
     assert formats.load_motion(tmp_path / "wave.two", animation="b").caption == "b of a file"
     with pytest.raises(
         UserError, match=r"wave\.npz: cannot read motions with the suffix '\.npz'; use one of \.two, \.txt"

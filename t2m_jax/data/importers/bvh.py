@@ -118,6 +118,8 @@ class BvhOptions:
     """Clips that have this in common stay in one split: `folder`, or a column of the table of captions."""
     seed: int = 0
     """Seed of the split."""
+    twins: bool = True
+    """Whether each clip gets a mirrored twin, with left and right exchanged in its captions if they are English."""
     frozen: bool = False
     """Import just what the table says: its captions alone, without sentences that are written for actions; if a file
     is missing or another one than the column `sha256` says, or a clip cannot be converted, nothing is imported."""
@@ -197,7 +199,9 @@ class _Converter:
             said = captions_within(found, begin=ready.begin, seconds=len(ready.positions) / HUMANML3D.fps)
         if len(said) < len(found):
             self.steps["a caption about what the motion does not have was left out"].append(part.name)
-        self.num_frames += 2 * write_twins(folder, part.name, ready.positions, captions=said, skeleton=HUMANML3D)
+        twins = self.options.twins
+        frames = write_twins(folder, part.name, ready.positions, captions=said, skeleton=HUMANML3D, twins=twins)
+        self.num_frames += frames * (1 + twins)
         self.groups[part.name] = group
         if has_parts(self.table):
             self.entries.append(IndexEntry(part.name, motion.key(self.source), part.label, person=part.person))
@@ -281,9 +285,11 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
             convert.file(path, folder)
         unused = convert.unused()
         convert.check()
-        splits = {part: with_twins(members) for part, members in division.divide(convert.groups).items()}
+        splits = division.divide(convert.groups)
+        if given.twins:
+            splits = {part: with_twins(members) for part, members in splits.items()}
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
         if convert.entries:
             save_index(folder, convert.entries)
     notes = (*table.notes, *convert.notes(), *unused)
-    return ImportReport(2 * len(convert.groups), convert.num_frames, sizes, convert.left_out, notes)
+    return ImportReport(sum(sizes.values()), convert.num_frames, sizes, convert.left_out, notes)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import tqdm
 
+from t2m_jax.data.audit import check_overlap
 from t2m_jax.data.files import SPLITS, TEXTS, clip_or_reason
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.index import INDEX
@@ -50,6 +51,8 @@ def import_humanml3d(source: str | Path, destination: str | Path) -> ImportRepor
             if (dataset.folder / file).exists():
                 shutil.copyfile(dataset.folder / file, folder / file)
     notes = ["statistics copied" if has_statistics else "statistics computed from the training clips"]
+    if overlap := check_overlap(splits):  # which of the lists is right, only their author knows
+        notes.append(f"{len(overlap)} clips are in two lists, or twice in one, such as {overlap[0]}")
     if broken:
         notes.append(f"{len(broken)} caption lines that cannot be read are left out, such as {broken[0]}")
     return ImportReport(sum(sizes.values()), sum(frames.values()), sizes, left_out, tuple(notes))

@@ -15,6 +15,8 @@ UPRIGHT = 0.8
 """A figure stands along an axis if the line from its feet to its neck is this much along it (cosine)."""
 BENT = 0.4
 """The same for a figure whose rest pose stands along this axis, and which may bend."""
+LYING_RISE = 0.5
+"""The hips of a figure that lies in all frames rise and fall less than this; meters."""
 POP_SPEED = 3.0
 """A frame is a rest pose before the motion if the joints then move faster than this; meters per second."""
 POP_RATIO = 5.0
@@ -48,6 +50,10 @@ def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 
     upward = _upward(positions)
     stands_y, stands_z = (float(np.mean(upward[:, axis] > UPRIGHT)) for axis in (1, 2))
     rests_y, rests_z = (bool(_upward(rest[None])[0, axis] > UPRIGHT) for axis in (1, 2))
+    # Whoever lies does not rise and fall so far, but in some files, the rest pose alone has Y up.
+    rises = float(np.ptp(positions[:, JOINT["pelvis"], 1]))
+    if rests_y and stands_y == 0 and stands_z > UPRIGHT and rises > LYING_RISE:
+        return None
     # A rest pose that stands along Y settles it, also for a figure that lies in every frame.
     if rests_y or (stands_y > 0 and stands_y >= stands_z):
         return "y"

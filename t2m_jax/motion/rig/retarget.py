@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+import numpy as np
+
 from t2m_jax.errors import UserError
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.clip import RigClip
@@ -12,6 +14,8 @@ from t2m_jax.motion.rig.recognition import check_is_person, clip_bones, recogniz
 from t2m_jax.motion.rig.rigs import DOLLS, RIGS, Rig, find_table, load_rig, make_rig, match_rig
 
 RigLike = Rig | str | Mapping[str, str | Sequence[str]]
+SMALLEST = 0.01
+"""Meters of a figure below which its joints are in one place."""
 
 
 def retarget(clip: RigClip, *, rig: RigLike | None = None, up: Up = "auto") -> Motion:
@@ -26,11 +30,14 @@ def retarget(clip: RigClip, *, rig: RigLike | None = None, up: Up = "auto") -> M
         up: The axis of the clip that points up; by default the one along which the figure stands.
 
     Raises:
-        UserError: The clip does not have the joints of the rig, or it cannot be told which axis points up.
+        UserError: The clip does not have the joints of the rig, its bones have no length, or it cannot be told which
+            axis points up.
     """
     clip = clip.with_end_sites()
     index = match_clip(clip, find_rig(clip, rig))
     positions = place_joints(clip.positions, clip.parents, index)
+    if np.ptp(positions, axis=1).max() < SMALLEST:
+        raise UserError("all joints are in one place; the skeleton has no bones with a length")
     if up == "auto":
         up = _find_up(clip, positions, index)
     return Motion(

@@ -52,8 +52,24 @@ def test_z_up_is_found_and_turned(clip):
 
 
 def test_somebody_who_lies_is_not_raised(clip):
-    lying = turned(clip, "x", 90.0, rest=False)
+    still = dataclasses.replace(clip, translations=np.broadcast_to(clip.translations[:1], clip.translations.shape))
+    lying = turned(still, "x", 90.0, rest=False)
     assert clip_up(lying, find_rig(lying, None)) == "y"
+
+
+def test_a_figure_that_lies_and_rises_may_stand(clip, tmp_path):
+    """Motion with Z up on a rest pose with Y up, as some converters write it: the user has to say which it is."""
+    risen = turned(clip, "x", 90.0, rest=False)
+    with pytest.raises(UserError, match="may stand with Z up, or lie with Y up; say which with --up z or --up y"):
+        retarget(risen)
+    assert np.ptp(retarget(risen, up="z").positions[0, :, 1]) > 1 > np.ptp(retarget(risen, up="y").positions[0, :, 1])
+
+
+def test_a_figure_without_bones_is_refused(clip):
+    lengths = {"offsets": np.zeros_like(clip.offsets), "translations": np.zeros_like(clip.translations)}
+    flat = dataclasses.replace(clip, **lengths, end_sites={})
+    with pytest.raises(UserError, match="all joints are in one place"):
+        retarget(flat)
 
 
 def test_z_up_with_a_turned_root_is_y_up(clip):
@@ -68,7 +84,8 @@ def test_what_cannot_be_told_is_refused():
     along_z = positions[..., [0, 2, 1]] * np.array([1, -1, 1], np.float32)
     sideways = positions[0][:, [1, 0, 2]]
     assert find_up(along_z, sideways) is None
-    assert find_up(along_z, along_z[0]) == "z" and find_up(along_z, positions[0]) == "y"
+    still = along_z - along_z[:, :1] * np.array([0, 1, 0], np.float32)
+    assert find_up(along_z, along_z[0]) == "z" and find_up(still, positions[0]) == "y"
     assert find_up(positions, sideways) == "y"
     # Somebody who bends in every frame, in a file with Z up.
     bent = matrix_from_euler(np.array([np.deg2rad(33), 0.0, 0.0]), "XYZ")
