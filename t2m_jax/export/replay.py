@@ -77,6 +77,7 @@ def _generate(model: TextToMotion, sentences: Sequence[str], num_clips: int, *, 
         asked = sentences[first : first + min(BATCH, num_clips - done)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PromptWarning)  # its own captions have rare words, too
-            motions = model.generate(asked, seed=seed + repeat)
+            # As captions are learned: action by action, motions would be longer than those of training.
+            motions = model.generate(asked, seed=seed + repeat, whole=True)
         done += len(motions)
         yield from motions

@@ -33,6 +33,17 @@ def test_a_model_generates_its_captions_again(model, tmp_path):
         np.testing.assert_array_equal(clip.features, same.features)
 
 
+def test_captions_are_sampled_as_they_are_learned(model, tmp_path, monkeypatch):
+    """A caption of several actions is one motion of the model's length, not one for each of them."""
+    asked = []
+    generate = model.generate
+    monkeypatch.setattr(
+        model, "generate", lambda *given, **options: asked.append(options) or generate(*given, **options)
+    )
+    write_replay(model, tmp_path / "old", sentences=["a man walks, then waves, then jumps"], num_clips=3)
+    assert [options["whole"] for options in asked] == [True] * 3
+
+
 def test_sentences_may_be_given(model, tmp_path):
     write_replay(model, tmp_path / "old", sentences=["somebody jumps"], num_clips=3)
     found = {caption.text for clip in open_dataset(tmp_path / "old").clips("train") for caption in clip.captions}
