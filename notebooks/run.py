@@ -13,15 +13,17 @@ import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
-NUM_COLORS = 96
+PLOT_COLORS = 64
+SCENE_COLORS = 32
+"""Pictures of motions are larger than plots, and their colors mean little."""
 
 
-def small_picture(data: str) -> str:
+def small_picture(data: str, num_colors: int) -> str:
     """Returns a PNG picture (base64) with fewer colors."""
     picture = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
     stream = io.BytesIO()
     # Dots of dithering would make the file larger.
-    few = picture.quantize(NUM_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few = picture.quantize(num_colors, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(stream, "PNG", optimize=True)
     return base64.b64encode(stream.getvalue()).decode("ascii")
 
@@ -37,7 +39,8 @@ def run_notebook(path: Path) -> None:
             for unwanted in ("text/html", "image/jpeg"):  # PIL images come as PNG, too
                 data.pop(unwanted, None)
             if "image/png" in data:
-                data["image/png"] = small_picture(data["image/png"])
+                is_plot = data["text/plain"].startswith("<Figure")
+                data["image/png"] = small_picture(data["image/png"], PLOT_COLORS if is_plot else SCENE_COLORS)
         if "outputs" in cell:
             cell.outputs = [output for output in cell.outputs if output.get("data", True)]
     notebook.metadata.language_info = {"name": "python"}
