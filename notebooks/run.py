@@ -13,17 +13,19 @@ import nbformat
 from nbclient import NotebookClient
 from PIL import Image
 
-PLOT_COLORS = 64
-SCENE_COLORS = 32
-"""Pictures of motions are larger than plots, and their colors mean little."""
+PLOT = (64, Image.Quantize.MEDIANCUT)
+SCENE = (32, Image.Quantize.MAXCOVERAGE)
+"""Number of colors and how they are chosen: in plots, each must stay what it is; in pictures of motions, rare ones must
+be kept."""
 
 
-def small_picture(data: str, num_colors: int) -> str:
+def small_picture(data: str, *, is_plot: bool) -> str:
     """Returns a PNG picture (base64) with fewer colors."""
+    num_colors, method = PLOT if is_plot else SCENE
     picture = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
     stream = io.BytesIO()
     # Dots of dithering would make the file larger.
-    few = picture.quantize(num_colors, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    few = picture.quantize(num_colors, method=method, dither=Image.Dither.NONE)
     few.save(stream, "PNG", optimize=True)
     return base64.b64encode(stream.getvalue()).decode("ascii")
 
@@ -40,7 +42,7 @@ def run_notebook(path: Path) -> None:
                 data.pop(unwanted, None)
             if "image/png" in data:
                 is_plot = data["text/plain"].startswith("<Figure")
-                data["image/png"] = small_picture(data["image/png"], PLOT_COLORS if is_plot else SCENE_COLORS)
+                data["image/png"] = small_picture(data["image/png"], is_plot=is_plot)
         if "outputs" in cell:
             cell.outputs = [output for output in cell.outputs if output.get("data", True)]
     notebook.metadata.language_info = {"name": "python"}
