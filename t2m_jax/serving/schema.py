@@ -87,7 +87,7 @@ PathText = Annotated[
 
 def _targets(value: object) -> tuple[Target, ...]:
     if not isinstance(value, str):
-        raise ValueError("is not a text")
+        raise ValueError("is not one text with all targets")
     return targets_from_text(value)
 
 
