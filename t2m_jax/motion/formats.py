@@ -61,7 +61,7 @@ def load_motion(
     path = Path(path)
     read = _entry_point(READERS, path).load()
     if not path.is_file():
-        raise UserError(f"{path}: there is no such file")
+        raise UserError(f"{path}: {'is a folder' if path.is_dir() else 'there is no such file'}")
     given = {"animation": animation, "rig": rig, "up": up}
     chosen = {name: value for name, value in given.items() if value is not None}
     if unknown := sorted(chosen.keys() - reader_options(path)):

@@ -64,6 +64,9 @@ def test_unknown_and_absent_files_are_refused(tmp_path):
     for suffix in (".npz", ".bvh", ".glb", ".amc", ".npy"):
         with pytest.raises(UserError, match="no such file"):
             load_motion(tmp_path / f"a{suffix}")
+    (tmp_path / "a.bvh").mkdir()
+    with pytest.raises(UserError, match=r"a\.bvh: is a folder"):
+        load_motion(tmp_path / "a.bvh")
 
 
 def test_bvh_holds_one_motion(tmp_path, walk):
