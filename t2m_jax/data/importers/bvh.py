@@ -182,8 +182,9 @@ class _Converter:
         name = clip_name(motion.key(self.source))
         if has_parts(self.table):
             return find_parts(motion, name, rows)
-        given = self.options
-        captions = find_captions(motion, rows, only_table=given.frozen, from_name=given.caption_from_name)
+        frozen = self.options.frozen
+        from_name = self.options.caption_from_name and not frozen
+        captions = find_captions(motion, rows, only_table=frozen, from_name=from_name)
         return [TablePart(name, captions)]
 
     def _write(self, motion: Source, part: TablePart, clip: RigClip, folder: Path) -> None:

@@ -32,7 +32,8 @@ SPLIT = "split"
 """Columns of tables whose rows are clips (see `table_parts`)."""
 DIGEST = "sha256"
 """Column with the first digits of the SHA-256 of each motion file."""
-KNOWN = (ACTION, PERSON, SPLIT, DIGEST)
+OWN_COLUMNS = (ACTION, PERSON, SPLIT, DIGEST)
+"""Columns that are read beside files, captions and times; users may divide by the others."""
 LENGTHS = frozenset({"duration", "length", "dur", "len"})
 """Words in the name of a column that says how long a caption holds."""
 NOT_SECONDS = frozenset({"frame", "frames", "ms", "msec", "milliseconds"})
@@ -205,7 +206,9 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     used = (found["file"], *captions, *times.values())
     # Columns that are read have one name; users name the others as they are.
     others = {
-        names[place] if names[place] in KNOWN else cell: place for place, cell in enumerate(cells) if place not in used
+        names[place] if names[place] in OWN_COLUMNS else cell: place
+        for place, cell in enumerate(cells)
+        if place not in used
     }
     lengths = [name for name in names if LENGTHS & {*name.split("_")}]
     if list(times) == ["start"] and lengths:
