@@ -168,6 +168,9 @@ def test_a_frozen_table_of_captions_reads_no_other_texts(source, tmp_path):
     options = {"captions": table, "split": "100/0/0"}
     import_bvh_folder(source, tmp_path / "data", frozen=True, **options)
     assert [caption.text for caption in open_dataset(tmp_path / "data").captions("short")] == ["a walk"]
+    table.write_text("file,caption,sha256\nshort,a walk,\nlong,,\n")
+    with pytest.raises(UserError, match="1 rows of the frozen table gave no clip"):
+        import_bvh_folder(source, tmp_path / "other", frozen=True, caption_from_name=True, **options)
     table.write_text("file,caption,sha256\nshort,a walk,0123456789abcdef\n")
     with pytest.raises(UserError, match="not 0123456789abcdef as in the table"):
         import_bvh_folder(source, tmp_path / "other", frozen=True, **options)
