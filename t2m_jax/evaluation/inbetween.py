@@ -60,8 +60,8 @@ def evaluate_inbetween(
         seed: Start of every random choice.
 
     Raises:
-        UserError: The data do not fit the model, no clip is long enough and has a caption, or the seed is not from 0 to
-            2**32 - 1.
+        UserError: The data do not fit the model, no clip is long enough and has a caption, the gap has fewer than three
+            frames, or the seed is not from 0 to 2**32 - 1.
     """
     check_seed(seed)
     check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
@@ -102,7 +102,15 @@ def interpolate_gap(positions: Positions, first: int, last: int, *, skeleton: Sk
 
 
 def gap_figures(positions: Positions, real: Positions, first: int, last: int, *, fps: float) -> GapFigures:
-    """Returns the figures of one clip, whose gap has frames `first` to `last`."""
+    """Returns the figures of one clip, whose gap has frames `first` to `last`.
+
+    Raises:
+        UserError: The gap has fewer than three frames, so no acceleration.
+    """
+    if last - first < 3:
+        raise UserError(
+            f"seconds: the gap would have {last - first} frames, and needs three or more; give more seconds"
+        )
     # The second difference is how far a joint is from where its last velocity led.
     changes, real_changes = (np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1) for one in (positions, real))
     joins = [frame - 1 for frame in (first - 1, first, last - 1, last)]  # change t is that of frame t + 1

@@ -34,6 +34,12 @@ def test_straight_motion_has_no_deviation():
     np.testing.assert_allclose(gap_figures(straight, straight, 20, 30, fps=20.0), np.zeros(4), atol=2e-3)
 
 
+@pytest.mark.parametrize("last", [20, 22])
+def test_a_gap_without_an_acceleration_is_refused(positions, last):
+    with pytest.raises(UserError, match=f"seconds: the gap would have {last - 20} frames"):
+        gap_figures(positions, positions, 20, last, fps=20.0)
+
+
 def test_a_jump_of_a_centimeter_is_found_at_its_join(positions):
     jumping = np.zeros((50, 22, 3), np.float32)
     jumping[30:] += np.array([0.01, 0, 0], np.float32)
