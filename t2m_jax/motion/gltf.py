@@ -91,7 +91,7 @@ def load_gltf_joints(path: Path | str) -> RigClip:
     data = load_bytes(path)
     with reading_glb(path):
         tree = split_chunks(data).tree
-        if not tree.get("animations"):
+        if not _titles(tree.get("animations", [])):
             return rest_clip(find_nodes(tree))
     (clip,) = _load(path, None, lambda captions: list(captions)[:1]).values()
     return clip
@@ -128,9 +128,11 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
 
 
 def _titles(animations: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """Returns animations by names, of which no two are equal."""
+    """Returns animations by names, of which no two are equal. Those that move nothing are left out."""
     found: dict[str, Mapping[str, Any]] = {}
     for number, animation in enumerate(animations):
+        if not animation.get("channels"):
+            continue
         name = str(animation.get("name") or f"animation_{number}")
         found[free_name(name, found, "_", first=number)] = animation
     return found

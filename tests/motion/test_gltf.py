@@ -249,6 +249,15 @@ def test_a_vrm_animation_of_another_program(shared_data):
     ]  # fmt: skip
 
 
+def test_an_animation_that_moves_nothing_is_none(tmp_path):
+    path = write_person(tmp_path / "person.glb", BANDAI, {"turn": 40.0, "bow": 20.0})
+    path = edited(path, lambda tree: tree["animations"][0].update(channels=[]))
+    assert list(load_gltf(path)) == ["bow"]
+    path = edited(path, lambda tree: tree["animations"][1].pop("channels"))
+    with pytest.raises(UserError, match=r"has no animation$"):
+        load_glb_file(path)
+
+
 def test_a_rig_without_an_animation_is_said(shared_data):
     with pytest.raises(UserError, match=r"m2m_rig_human\.glb: has no animation$"):
         load_glb_file(shared_data("foreign-files") / "foreign-files/m2m_rig_human.glb")
