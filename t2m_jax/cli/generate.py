@@ -124,11 +124,12 @@ def _requests(args: argparse.Namespace) -> "Iterator[MotionRequest]":
 
     if args.then and len(args.text) > 1:
         raise UserError(f"--then: follows one sentence, not {len(args.text)}; use it for each further sentence")
-    for name, value in (("rig", None if args.character else args.rig), ("up", args.up)):
+    # With a character, the rig is that of its joints.
+    chosen = {"rig": args.rig if args.character is None else None, "up": args.up}
+    for name, value in chosen.items():
         if value is not None and args.start is None:
             raise UserError(f"--{name} {value}: is for a file to go on from; add --from FILE")
-    rig = args.rig if args.character is None else None
-    start = None if args.start is None else load_motion(args.start, rig=rig, up=args.up)
+    start = None if args.start is None else load_motion(args.start, **chosen)
     targets = tuple(_targets(args))
     for text in args.text:
         yield read_record(MotionRequest, args, captions=(text, *(args.then or ())), start=start, targets=targets)

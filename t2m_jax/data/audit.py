@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from t2m_jax.data.banks.captions import caption_tokens
 from t2m_jax.data.body_checks import check_copies, check_twin
 from t2m_jax.data.cache import cache_places, damage, scan_sources
 from t2m_jax.data.caption_checks import check_speeds, check_twin_captions
-from t2m_jax.data.checks import check_rate, compare_statistics
+from t2m_jax.data.checks import check_overlap, check_rate, compare_statistics
 from t2m_jax.data.clip_audit import AuditedClip, audit_clip
 from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import Dataset, DatasetInfo, open_dataset
@@ -92,20 +91,6 @@ def missing_files(dataset: Dataset, names: Iterable[str]) -> tuple[str, set[str]
     published = not (dataset.folder / INFO).exists()
     where = f"{HUMANML3D_PAGE} says how to make or get them" if published else "import again"
     return f"{counts} missing (such as {next(iter(told.values()))[0]}); {where}", set().union(*told.values())
-
-
-def check_overlap(splits: dict[str, tuple[str, ...]]) -> list[str]:
-    """Returns the clips that are in two lists or twice in one. A clip and its mirrored twin count as one."""
-    problems = []
-    home: dict[str, str] = {}
-    for split, names in splits.items():
-        problems += [f"{split}.txt: names {name} {count} times" for name, count in Counter(names).items() if count > 1]
-        # A model that was trained with a twin knows the clip.
-        for original in sorted({name.removeprefix(MIRROR_PREFIX) for name in names}):
-            if original in home:
-                problems.append(f"{split}.txt: {original} or its mirrored twin is in {home[original]}.txt, too")
-            home.setdefault(original, split)
-    return problems
 
 
 def check_clips_together(

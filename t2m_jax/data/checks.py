@@ -1,10 +1,11 @@
 """Whether a data set and a trained model fit each other."""
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 
-from t2m_jax.data.files import INFO
+from t2m_jax.data.files import INFO, MIRROR_PREFIX
 from t2m_jax.data.folder import Dataset, DatasetInfo
 from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import Normalizer
@@ -35,6 +36,20 @@ def compare_statistics(
     shift = np.max(np.abs(mean - other_mean) / other_std)
     # In logarithms, twice and half the deviation are equally different.
     return StatisticsDifference(float(shift), float(np.max(np.abs(np.log(std / other_std)))))
+
+
+def check_overlap(splits: dict[str, tuple[str, ...]]) -> list[str]:
+    """Returns the clips that are in two lists or twice in one. A clip and its mirrored twin count as one."""
+    problems = []
+    home: dict[str, str] = {}
+    for split, names in splits.items():
+        problems += [f"{split}.txt: names {name} {count} times" for name, count in Counter(names).items() if count > 1]
+        # A model that was trained with a twin knows the clip.
+        for original in sorted({name.removeprefix(MIRROR_PREFIX) for name in names}):
+            if original in home:
+                problems.append(f"{split}.txt: {original} or its mirrored twin is in {home[original]}.txt, too")
+            home.setdefault(original, split)
+    return problems
 
 
 def check_rate(info: DatasetInfo, skeleton: Skeleton) -> list[str]:

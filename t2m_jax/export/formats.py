@@ -60,9 +60,7 @@ def load_bvh_file(path: Path, *, rig: str | None = None, up: Up = "auto") -> Mot
 
 def load_amc_file(path: Path, *, rig: str | None = None, up: Up = "auto") -> Motion:
     """Returns the motion of an AMC file; see `load_amc`. For `rig`, `up` and errors, see `load_bvh_file`."""
-    clip = load_amc(path)
-    logger.info("%s: AMC files do not say their rate; %g frames per second were assumed", path, clip.fps)
-    return motion_of_clip(path, clip, rig=rig, up=up)
+    return motion_of_clip(path, load_amc(path), rig=rig, up=up)
 
 
 def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None = None) -> Motion:

@@ -57,6 +57,8 @@ def test_columns_that_are_read_may_have_capitals(tmp_path):
 def test_columns_of_one_name_are_all_read(tmp_path):
     said, problems, _ = read(tmp_path, f"file,caption,caption\na,{WALK},a second one\n")
     assert said["a"] == [WALK, "a second one"] and not problems
+    said, problems, _ = read(tmp_path, f"file,caption,label,label\na,{WALK},walk,fast\n")
+    assert said["a"] == [WALK] and not problems
 
 
 def test_times_may_end_with_finish_but_not_with_a_duration(tmp_path):

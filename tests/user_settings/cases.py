@@ -302,8 +302,8 @@ def _() -> Case:
     return Case((weights(shapes), tokens), {"module": ClipText(CLIP)})
 
 
-@case("models.rows.apply_compiled: sentence encoder")
-def _() -> Case:
+def sentence_case(**options: Any) -> Case:
+    """Returns the case of a tiny sentence encoder."""
     tokens = jnp.array([[1, 5, 19, 2, 0, 0], [1, 7, 3, 2, 4, 19]])
     mask = jnp.arange(6)[None] < jnp.array([[4], [6]])
     config = SentenceEncoderConfig(
@@ -311,7 +311,17 @@ def _() -> Case:
     )
     module = SentenceEncoder(config)
     shapes = jax.eval_shape(module.init, jax.random.key(0), tokens, mask)
-    return Case((weights(shapes), tokens, mask), {"module": module})
+    return Case((weights(shapes), tokens, mask), {"module": module} | options)
+
+
+@case("models.rows.apply_compiled: sentence encoder")
+def _() -> Case:
+    return sentence_case()
+
+
+@case("models.rows.apply_compiled: token states")
+def _() -> Case:
+    return sentence_case(method="states")
 
 
 @case("models.rows.apply_compiled: state encoder")

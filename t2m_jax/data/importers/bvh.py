@@ -51,11 +51,8 @@ class _Prepared(NamedTuple):
 
 def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prepared:
     """Returns the 22 joints of a clip at 20 frames per second with Y up, without a rest pose at the beginning."""
-    steps = []
-    if motion.path.suffix.lower() == ".amc":
-        steps.append(f"AMC files do not say their rate; {clip.fps:g} frames per second were assumed (--amc-fps)")
     table = find_rig(clip, rig)
-    steps += [*clip.notes, *([table.note] if table.note else [])]
+    steps = [*clip.notes, *([table.note] if table.note else [])]
     if not table.was_tried:
         steps.append(f"rig {table.name}: its table is from documentation, never tried on a real file; see the sheet")
     if up == "auto":

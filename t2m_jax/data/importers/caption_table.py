@@ -88,10 +88,10 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
     if path.suffix.lower() == ".csv":
         layout = _find_layout(path, numbered[0][1] if numbered else "", keys)
         # A quote that a later line closes: a cell of two lines. Without such a line, it only looks like one.
-        odd = {number for number, line in numbered if line.count('"') % 2}
-        is_open = {number: number in odd and number < max(odd) for number, _ in numbered}
+        odd = [number for number, line in numbered if line.count('"') % 2]
+        is_open = set(odd[:-1])
         rows = [
-            _read_entry(f"{path}:{number}", line, layout, is_open=is_open[number])
+            _read_entry(f"{path}:{number}", line, layout, is_open=number in is_open)
             for number, line in numbered[layout.has_header :]
         ]
         columns = tuple(layout.others)
@@ -191,11 +191,11 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     """Returns the layout that a header describes, None if it does not name files and captions."""
     names = [re.sub(r"[\W_]+", "_", cell.strip().lower()).strip("_") for cell in cells]
     found = _find_columns(names)
-    # Several captions may be in several columns: caption_1, caption_2, or twice caption.
+    # Several captions may be in several columns: caption_1, caption_2, or in two of the best name.
     stems = [name.rstrip("0123456789").rstrip("_") for name in names]
-    numbered = [stem for stem, name in zip(stems, names, strict=True) if stem != name or names.count(name) > 1]
-    counted = set(numbered) & set(NAMES["caption"])
-    first = () if found["caption"] is None else (found["caption"],)
+    counted = {stem for stem, name in zip(stems, names, strict=True) if stem in NAMES["caption"] and stem != name}
+    best = None if found["caption"] is None else names[found["caption"]]
+    first = tuple(place for place, name in enumerate(names) if name == best)
     captions = tuple(place for place, stem in enumerate(stems) if stem in counted) or first
     if found["file"] is None or not captions:
         return None

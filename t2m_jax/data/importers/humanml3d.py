@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tqdm
 
-from t2m_jax.data.audit import check_overlap
+from t2m_jax.data.checks import check_overlap
 from t2m_jax.data.files import SPLITS, TEXTS, clip_or_reason
 from t2m_jax.data.folder import open_dataset
 from t2m_jax.data.index import INDEX
