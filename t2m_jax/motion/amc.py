@@ -87,7 +87,7 @@ def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
         fps=fps,
         metres_per_unit=figure.metres_per_unit,
         end_sites={joint: figure.bones[names[joint]].offset.astype(np.float32) for joint in ends},
-        notes=(f"AMC files do not say their rate; {fps:g} frames per second were assumed (import: --amc-fps)",),
+        notes=(f"AMC files do not say their rate; {fps:g} frames per second were assumed",),
     )
 
 
