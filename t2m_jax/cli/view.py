@@ -159,7 +159,7 @@ def run(args: argparse.Namespace) -> None:
 
     # All that can be wrong with the options is said before the first file is read.
     for output in args.outputs:
-        check_motion_output(output)
+        check_motion_output(output, num_motions=1 if args.join else len(args.files))
     changes = read_record(Changes, args)
     options = {output: file_options(output, args, args.outputs) for output in args.outputs}
     character = open_character(args, args.outputs)

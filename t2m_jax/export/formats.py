@@ -13,6 +13,7 @@ from t2m_jax.motion.amc import load_amc
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.features import positions_from_features
+from t2m_jax.motion.formats import check_motion_output
 from t2m_jax.motion.gltf import load_gltf_animation
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig import RigClip, retarget
@@ -30,9 +31,7 @@ def only_motion(path: Path, motions: Sequence[Motion]) -> Motion:
     Raises:
         UserError: There is more than one motion, or none.
     """
-    if len(motions) != 1:
-        several = f"a {path.suffix} file holds exactly one motion, not {len(motions)}"
-        raise UserError(f"{path}: {several}; write a file for each, or a .glb or .html file")
+    check_motion_output(path, num_motions=len(motions))
     return motions[0]
 
 

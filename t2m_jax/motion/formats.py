@@ -20,6 +20,8 @@ MAX_FRAMES = 1_000_000
 """Frames that are read of a file; an hour of motion capture has fewer."""
 MAX_SECONDS = 4 * 3600.0
 """A longer motion is taken as an error in its file; at another rate it could fill the memory."""
+SINGLE = ("bvh", "npz", "vrma")
+"""Formats whose files hold exactly one motion."""
 READERS = "t2m_jax.motion_readers"
 """Entry points by suffix: functions of a path that return its motion; they may take an `animation` and a `rig`."""
 WRITERS = "t2m_jax.motion_writers"
@@ -86,16 +88,20 @@ def check_size(path: Path, motion: Any) -> None:
         raise UserError(f"{path}: has {motion.num_frames / motion.fps:g} seconds; at most {MAX_SECONDS:g} are read")
 
 
-def check_motion_output(path: str | Path) -> Path:
+def check_motion_output(path: str | Path, *, num_motions: int = 1) -> Path:
     """Returns the path of a motion file to write.
 
     Call this before long work, so that a wrong path is reported first.
 
     Raises:
-        UserError: The suffix is unknown, or the file cannot be written.
+        UserError: The suffix is unknown, the format cannot contain that many motions, or the file cannot be written.
     """
-    _entry_point(WRITERS, Path(path))
-    return check_output(Path(path))
+    path = Path(path)
+    _entry_point(WRITERS, path)
+    if num_motions != 1 and path.suffix[1:].lower() in SINGLE:
+        several = f"a {path.suffix} file holds exactly one motion, not {num_motions}"
+        raise UserError(f"{path}: {several}; write a file for each, or a .glb or .html file")
+    return check_output(path)
 
 
 def format_options(path: str | Path) -> dict[str, tuple[str | bool, ...]]:
@@ -118,7 +124,7 @@ def save_motions(path: str | Path, motions: Sequence[Any], **options: Any) -> No
             cannot be written.
     """
     # The path and the options are checked before anything is written.
-    path = check_motion_output(path)
+    path = check_motion_output(path, num_motions=len(motions))
     known = format_options(path) if options else {}
     for name, value in options.items():
         if value not in known.get(name, ()):

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import first_line, parse_json
 from t2m_jax.files.writing import atomic_file
+from t2m_jax.motion.formats import MAX_FRAMES
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import continuous_quaternions
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -28,8 +29,8 @@ _HEADER = 12
 _KINDS = {np.dtype("<f4"): 5126, np.dtype("<u2"): 5123, np.dtype("<u4"): 5125, np.dtype("u1"): 5121}
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 _COLUMNS = {name: columns for columns, name in _TYPES.items()}
-# NumPy's types of the numbers that are read, by the numbers of OpenGL. Animations have no others.
-_NUMBERS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5126: np.float32}
+# NumPy's types of the numbers that are read, by the numbers of OpenGL.
+_NUMBERS = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 
 
 class GlbChunks(NamedTuple):
@@ -89,21 +90,36 @@ def split_chunks(data: bytes) -> GlbChunks:
 def read_accessor(glb: GlbChunks, number: int) -> Float[np.ndarray, "N C"]:
     """Returns the numbers of an accessor; integers are shares of their largest value, as rotations may be stored."""
     accessor = glb.tree["accessors"][number]
+    shape = (accessor["count"], _COLUMNS[accessor["type"]])
+    dtype = np.dtype(_NUMBERS[accessor["componentType"]])
+    # Without a place, all are zeros. A sparse accessor lists the rows that differ.
+    values = _stored(glb, accessor, dtype, shape) if "bufferView" in accessor else _zeros(dtype, shape)
     if "sparse" in accessor:
-        raise UserError("sparse accessors are not supported")
-    view = glb.tree["bufferViews"][accessor["bufferView"]]
+        count, indices, replaced = (accessor["sparse"][name] for name in ("count", "indices", "values"))
+        rows = _stored(glb, indices, np.dtype(_NUMBERS[indices["componentType"]]), (count, 1))[:, 0]
+        values = values.copy()
+        values[rows] = _stored(glb, replaced, dtype, (count, shape[1]))
+    scale = 1.0 if dtype.kind == "f" else 1.0 / int(np.iinfo(str(dtype)).max)
+    return np.maximum(values * scale, -1.0) if dtype.kind == "i" else values * scale
+
+
+def _zeros(dtype: np.dtype, shape: tuple[int, int]) -> np.ndarray:
+    if not 0 <= shape[0] <= MAX_FRAMES:
+        raise ValueError(f"an accessor has {shape[0]:,} values and no data")
+    return np.zeros(shape, dtype)
+
+
+def _stored(glb: GlbChunks, place: Mapping[str, Any], dtype: np.dtype, shape: tuple[int, int]) -> np.ndarray:
+    """Returns numbers as they are stored in a buffer view."""
+    view = glb.tree["bufferViews"][place["bufferView"]]
     if view["buffer"] or "uri" in glb.tree["buffers"][0]:
         raise UserError("its data are in another file; export everything into one .glb")
-    dtype = np.dtype(_NUMBERS[accessor["componentType"]])
-    columns = _COLUMNS[accessor["type"]]
-    count = accessor["count"]
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    count, columns = shape
+    start = view.get("byteOffset", 0) + place.get("byteOffset", 0)
     # A stride is how vertices are mixed with other data; keys of animations are not. `frombuffer` takes -1 as "all".
     if min(start, count) < 0 or view.get("byteStride", columns * dtype.itemsize) != columns * dtype.itemsize:
         raise ValueError("an accessor's place is not supported")
-    values = np.frombuffer(glb.binary, dtype, count=count * columns, offset=start).reshape(count, columns)
-    scale = 1.0 if dtype.kind == "f" else 1.0 / int(np.iinfo(str(dtype)).max)
-    return np.maximum(values * scale, -1.0) if dtype.kind == "i" else values * scale
+    return np.frombuffer(glb.binary, dtype, count=count * columns, offset=start).reshape(shape)
 
 
 def own_extra(tree: Mapping[str, Any], part: Mapping[str, Any], name: str) -> Any:

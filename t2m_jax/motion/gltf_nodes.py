@@ -280,7 +280,8 @@ def _bound_joints(glb: GlbChunks, nodes: Nodes) -> dict[int, Matrix]:
 
 def _is_compressed(tree: Mapping[str, Any], accessor: int) -> bool:
     """Returns whether an extension is needed to read an accessor."""
-    return "extensions" in tree["bufferViews"][tree["accessors"][accessor]["bufferView"]]
+    view = tree["accessors"][accessor].get("bufferView")
+    return view is not None and "extensions" in tree["bufferViews"][view]
 
 
 def _mesh_of_skin(tree: Mapping[str, Any], skin: int) -> Matrix:

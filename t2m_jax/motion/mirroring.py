@@ -9,11 +9,13 @@ from t2m_jax.motion.namespace import AnyArray, namespace_of
 from t2m_jax.motion.skeleton import Skeleton
 
 _TURNS = {"clockwise": "counterclockwise", "counterclockwise": "clockwise", "anticlockwise": "clockwise"}
-_SIDES = {"left": "right", "right": "left"}
+_TURNS |= {"cw": "ccw", "ccw": "cw"}
+_SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _LETTER = r"[^\W\d_]"
 _WORD = re.compile(
     rf"(?<!{_LETTER})(?:(?P<side>left|right)(?P<ending>ward|wards|most|s|hand|handed)?"
-    rf"|(?P<turn>(?:(?:counter|anti)[-\s]?)?clockwise))(?!{_LETTER})",
+    rf"|(?P<letter>(?-i:[LR]))(?=\.?[-\s](?:arm|hand|wrist|elbow|shoulder|fist|leg|foot|knee|ankle|hip|heel|side))"
+    rf"|(?P<turn>(?:(?:counter|anti)[-\s]?)?clockwise|c?cw))(?!{_LETTER})",
     re.IGNORECASE,
 )
 
@@ -38,7 +40,7 @@ def mirror_caption(text: str) -> str:
     """Returns a caption with left and right, and clockwise and counterclockwise, exchanged.
 
     Only whole words change ("bright" does not), also in hyphenated words and in tagged tokens ("left/ADV"). The case is
-    kept. "Anticlockwise" becomes "clockwise", which becomes "counterclockwise".
+    kept. "Anticlockwise" becomes "clockwise", which becomes "counterclockwise". "R hand" and "CCW" are known, too.
     """
     # One pass over the text: exchanging word after word would exchange back what was exchanged before.
     return _WORD.sub(_mirrored_word, text)
@@ -48,7 +50,7 @@ def _mirrored_word(match: re.Match[str]) -> str:
     """Returns the other side or turn for one that was found in a text."""
     if match["turn"]:
         return _like(match.group(), _TURNS[re.sub(r"[-\s]", "", match.group().lower())])
-    side = match["side"]
+    side = match["side"] or match["letter"]
     return _like(side, _SIDES[side.lower()]) + (match["ending"] or "")
 
 

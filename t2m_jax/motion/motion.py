@@ -158,12 +158,12 @@ class Motion:
         Raises:
             UserError: No frame is between these times.
         """
-        first = round(min(begin or 0.0, self.seconds) * self.fps)
-        last = self.num_frames if end is None else round(min(end, self.seconds) * self.fps)
-        if not 0 <= first < last:
-            stop = self.seconds if end is None else end
-            raise UserError(f"begin: {begin or 0:g} to {stop:g} s has no frame; the motion has {self.seconds:.2f} s")
-        return self[first:last]
+        start = begin or 0.0
+        stop = self.seconds if end is None else min(end, self.seconds)
+        # The first comparison finds NaN, which cannot be rounded.
+        if not (0 <= start < stop and round(start * self.fps) < round(stop * self.fps)):
+            raise UserError(f"begin: {start:g} to {stop:g} s has no frame; the motion has {self.seconds:.2f} s")
+        return self[round(start * self.fps) : round(stop * self.fps)]
 
     def cleaned(self) -> "Motion":
         """Returns the motion with less trembling, constant bones and feet that stand still (`t2m_jax.motion.cleanup`).

@@ -15,7 +15,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.render.view import Camera
 from t2m_jax.motion.bvh.writer import Units
 from t2m_jax.motion.changes import Changes, path_from_text
-from t2m_jax.motion.formats import motion_formats
+from t2m_jax.motion.formats import SINGLE, motion_formats
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import LARGEST_TURN
 from t2m_jax.motion.resampling import MAX_SPEED
@@ -59,7 +59,7 @@ LIMITS: Mapping[str, Mapping[str, Any]] = {
 """What is refused beyond the types of the fields, in pydantic's words."""
 PYTHON_ONLY = ("strategy", "max_codes")
 """Fields that HTTP does not have: an object of Python, and a length of which each is a program of its own."""
-SEVERAL = ("glb", "html", "mp4", "gif", "png")
+SEVERAL = tuple(name for name in motion_formats() if name not in SINGLE)
 """Formats that can contain several motions."""
 BASE64_LETTERS = b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789+/="
 InputFormat = Literal["npz", "bvh", "glb", "vrma"]

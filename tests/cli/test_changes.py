@@ -36,6 +36,12 @@ def test_a_loop_has_at_least_60_frames_a_second_without_a_rate(walk, tmp_path):
         np.testing.assert_allclose(loop.positions, Motion.load(path).resampled(fps).looped().positions, atol=1e-5)
 
 
+def test_no_file_is_written_if_one_cannot_have_all_motions(refusal, walk, tmp_path):
+    said = refusal("view", walk, walk, "-o", tmp_path / "two.glb", "-o", tmp_path / "two.bvh")
+    assert "two.bvh: a .bvh file holds exactly one motion, not 2" in said and not (tmp_path / "two.glb").exists()
+    assert main(["view", f"{walk}", f"{walk}", "--join", "-o", f"{tmp_path / 'two.bvh'}"]) == 0
+
+
 @pytest.mark.slow
 def test_a_recording_is_cleaned(tmp_path):
     noise = 0.004 * np.random.default_rng(0).standard_normal((60, 22, 3))

@@ -171,6 +171,7 @@ def test_rounded_frame_times_mean_whole_rates(tmp_path, written, fps):
     "change",
     [
         lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
         lambda text: text.replace("  ", "\t").replace("Frames: ", "Frames:\t"),
         lambda text: "\ufeff" + text,
         lambda text: text + "\n  \n",

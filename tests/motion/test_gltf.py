@@ -73,6 +73,28 @@ def test_rotations_may_be_integers_and_nodes_may_be_matrices(tmp_path):
     np.testing.assert_allclose(hand_of(writer, tmp_path, fps=1.0), [[2, 1, 1], [0, 1, 1]], atol=1e-3)
 
 
+@pytest.mark.parametrize("has_base", [True, False])
+def test_sparse_values_are_those_that_differ(tmp_path, has_base):
+    """Blender and optimizers write few values that differ, and no data at all where all are zero."""
+    writer, root, _ = arm()
+    keys = np.full((4, 3), [0, 1, 0]) if has_base else np.zeros((4, 3))
+    writer.animation("move", [(root, "translation", [0, 1, 2, 3], keys, "LINEAR", "f4")])
+    track = writer.tree["accessors"][1]
+    views = [
+        writer.tree["accessors"][writer.accessor(*data)]["bufferView"]
+        for data in (([1, 3], "u1"), ([[0, 5, 0], [0, 7, 0]],))
+    ]
+    track["sparse"] = {
+        "count": 2,
+        "indices": {"bufferView": views[0], "componentType": 5121},
+        "values": {"bufferView": views[1]},
+    }
+    if not has_base:
+        del track["bufferView"]
+    base = float(has_base)
+    np.testing.assert_allclose(hand_of(writer, tmp_path, fps=1.0)[:, 1], [base, 5, base, 7], atol=1e-6)
+
+
 def two_figures(path, *, moved):
     """Two figures of the same rig, each with a skin, of which an animation turns some."""
     writer = GlbWriter()
@@ -169,7 +191,12 @@ def broken(change):
         (broken(lambda tree: tree.update(animations=[])), "no animation"),
         (broken(lambda tree: tree["nodes"][1].update(children=[0])), "their own parents"),
         (broken(lambda tree: tree["accessors"][0].update(count=10**9)), "not a correct GLB"),
-        (broken(lambda tree: tree["accessors"][1].update(sparse={})), "sparse"),
+        (broken(lambda tree: tree["accessors"][1].update(sparse={})), "not a correct GLB"),
+        (broken(lambda tree: tree["accessors"][1].update(bufferView=None)), "not a correct GLB"),
+        (
+            broken(lambda tree: (tree["accessors"][1].pop("bufferView"), tree["accessors"][1].update(count=10**9))),
+            "no data",
+        ),
         (broken(lambda tree: tree["bufferViews"][0].update(buffer=1)), "another file"),
         (broken(lambda tree: tree["animations"][0].update(channels=7)), "not a correct GLB"),
         (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2])), "not a correct GLB"),

@@ -60,6 +60,8 @@ def test_other_joints_are_refused():
         ("a/DET left/ADJ step/NOUN clockwise/ADV", "a/DET right/ADJ step/NOUN counterclockwise/ADV"),
         ("walks rightwards, leftmost first", "walks leftwards, rightmost first"),
         ("left_arm", "right_arm"),
+        ("L arm up, R. leg down, turn CCW, l arm", "R arm up, L. leg down, turn CW, l arm"),
+        ("size L shirt, vitamin R, LR hands", "size L shirt, vitamin R, LR hands"),
         ("bright leftovers upright copyright", "bright leftovers upright copyright"),
         ("walks like clockwork", "walks like clockwork"),
         ("", ""),

@@ -171,6 +171,14 @@ def test_a_part_of_a_motion_has_its_sentences(begin, end, starts, caption):
     assert part.part_captions == tuple(caption.split(", then ") if starts else ())
 
 
+@pytest.mark.parametrize(
+    "span", [(float("nan"), None), (0.0, float("nan")), (-1.0, 2.0), (9.0, None), (1.0, 1.0), (0.01, 0.02)]
+)
+def test_a_part_without_frames_is_refused(span):
+    with pytest.raises(UserError, match="s has no frame; the motion has 3"):
+        chain().trimmed(*span)
+
+
 def test_joined_motions_keep_where_their_sentences_begin():
     single = Motion(walking_positions(30), 20.0, caption="he runs")
     joined = single + chain()

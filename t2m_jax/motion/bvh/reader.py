@@ -87,7 +87,8 @@ def _read_bytes(path: Path) -> bytes:
     if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):
         start = data.lstrip()[:12].decode("utf-8", errors="replace")
         raise UserError(f"{path}:1: not a BVH file: it starts with {start!r} instead of HIERARCHY")
-    return data
+    # Old programs of the Mac end lines with a carriage return alone.
+    return data if b"\n" in data else data.replace(b"\r", b"\n")
 
 
 def _columns(hierarchy: Hierarchy) -> list[dict[str, int]]:
