@@ -23,8 +23,10 @@ COUNT_CANDIDATES = 16
 """Samples to choose from by a count."""
 PACE_CANDIDATES = 4
 """Samples to choose from by their pace."""
-GAIT_SPEEDS = {"walk": (0.0, 2.0), "run": (1.2, math.inf)}
+GAIT_SPEEDS = {"walk": (0.3, 2.0), "run": (1.2, math.inf)}
 """Slowest and fastest motion of a gait in m/s. People begin to run at about 2 m/s (Hreljac, 1993)."""
+SLOWEST_SHARE = 0.4
+"""Of the median speed of the candidates. A slower one hardly shows its action."""
 SHORTEST_SECONDS = 1.2
 """Shortest motion that is made by ending one."""
 
@@ -63,10 +65,10 @@ def choose_by_pace(model: ModelParts, candidates: Sequence[Codes], pace: SaidPac
     shown = _decoded(model, candidates)
     slowest, fastest = GAIT_SPEEDS.get(pace.gait, (0.0, math.inf))
     speeds = [mean_speed(positions[:, :1]) * model.skeleton.fps for positions in shown]
-    fitting = [number for number, speed in enumerate(speeds) if slowest <= speed <= fastest]
-    best = (min if pace.is_slow else max)(
-        fitting or range(len(candidates)), key=lambda number: mean_speed(shown[number])
-    )
+    motions = list(map(mean_speed, shown))
+    moving = [number for number, motion in enumerate(motions) if motion >= SLOWEST_SHARE * np.median(motions)]
+    fitting = [number for number in moving if slowest <= speeds[number] <= fastest]
+    best = (min if pace.is_slow else max)(fitting or moving, key=lambda number: motions[number])
     return candidates[best]
 
 

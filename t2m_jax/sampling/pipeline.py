@@ -131,7 +131,7 @@ class TextToMotion:
         Raises:
             UserError: A request does not fit the model, such as a motion of another skeleton.
         """
-        turns = [request.in_turn(self.knowledge.actions) for request in requests]
+        turns = [request.in_turn(self.knowledge) for request in requests]
         captions = [caption for request in turns for caption in request.captions]
         notes = [note for request in turns for note in request.notes]
         prompts = iter(read_prompts(captions, self.knowledge, self.text_encoder, notes=notes))
@@ -159,7 +159,7 @@ class TextToMotion:
         check_seed(sample, "sample")
         if request.is_bound:
             raise UserError("stream: a change of a motion, or one with targets, has no pieces; use make")
-        request = request.in_turn(self.knowledge.actions)
+        request = request.in_turn(self.knowledge)
         prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
         first = Sample(prompts[0], request.seed, sample)
         if request.is_plain:

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import itertools
+import logging
 import math
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
@@ -18,10 +19,14 @@ from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
 from t2m_jax.text.counts import Times, said_times
+from t2m_jax.text.coverage import Knowledge
 from t2m_jax.text.paces import SaidPace, said_pace
 from t2m_jax.text.prompts import check_prompt
 from t2m_jax.text.quantities import said_seconds
 from t2m_jax.text.sequence import split_sequence
+from t2m_jax.text.spelling import correct_spelling
+
+logger = logging.getLogger(__name__)
 
 MAX_SAMPLES = 1_000_000
 """Most motions of a request. A larger number is probably a mistake: they would take weeks and 100 GB."""
@@ -221,17 +226,18 @@ class MotionRequest:
             notes.append(f"takes {self.seconds:g} s, as asked for, and not {seconds:g} s")
         return f"{caption!r}: {'; '.join(notes)}" if notes else ""
 
-    def in_turn(self, known: Collection[str]) -> "MotionRequest":
+    def in_turn(self, knowledge: Knowledge) -> "MotionRequest":
         """Returns the request with a sentence for each action that its sentences say in turn (see `split_sequence`).
 
-        `known` are the actions that the model knows. All sentences together have the same `seconds`. Requests with
-        `options.whole`, `targets`, `span` or `strength` stay as they are.
+        Typing mistakes that hide an order, a length, a number of times or a pace are corrected; others are left to the
+        reading of the sentence. All sentences together have the same `seconds`. Requests with `options.whole`,
+        `targets`, `span` or `strength` stay as they are.
         """
         if not self.reads_quantities:
             return self
-        actions = tuple(itertools.chain.from_iterable(split_sequence(caption, known) for caption in self.captions))
-        # Each sentence says one action, so that `seconds` is the length of each already.
-        if len(actions) == len(self.captions):
+        read = [_with_quantities(caption, knowledge) for caption in self.captions]
+        actions = tuple(itertools.chain.from_iterable(split_sequence(one, knowledge.actions) for one in read))
+        if actions == self.captions:
             return self
         seconds = None if self.seconds is None else self.seconds * len(self.captions) / len(actions)
         return dataclasses.replace(self, captions=actions, seconds=seconds)
@@ -280,3 +286,18 @@ class MotionRequest:
             raise UserError(
                 f"num-samples: {self.num_samples} motions cannot be chosen from {self.candidates} candidates"
             )
+
+
+def _with_quantities(caption: str, knowledge: Knowledge) -> str:
+    """Returns a sentence, without its typing mistakes if they hide what `_quantities` finds."""
+    read, mistakes = correct_spelling(caption, knowledge.words, rare=knowledge.taught)
+    if not mistakes or _quantities(read, knowledge.actions) == _quantities(caption, knowledge.actions):
+        return caption
+    logger.info("%r: read as %r", caption, read)
+    return read
+
+
+def _quantities(caption: str, known: Collection[str]) -> tuple[Any, ...]:
+    """Returns how many actions a sentence says in turn, how long, how often and how fast."""
+    parts = len(split_sequence(caption, known))
+    return parts, said_seconds(caption), said_times(caption, COUNTED_ACTIONS), said_pace(caption)

@@ -58,6 +58,7 @@ class ModelData(TypedDict):
     stop_rules: list[str]
     actions: list[str]
     words: list[str]
+    taught: list[str]
     examples: list[str]
     formats_of_several: NotRequired[list[str]]
     body_bytes: NotRequired[int]

@@ -215,7 +215,7 @@ class _Server:
                     read_motion, fields["start"], fields.get("start_format", "npz"), None, Names("start")
                 )
         # To read long sentences takes longer than others should wait.
-        asked = await to_thread.run_sync(schema.motion_request(fields, start).in_turn, self.jobs.model["actions"])
+        asked = await to_thread.run_sync(schema.motion_request(fields, start).in_turn, self.jobs.knowledge)
         schema.check_lengths(asked)
         key = request.query_params.get("keep")
         if key is not None:

@@ -21,6 +21,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.serving.messages import NO_JOB, Cancel, Task
 from t2m_jax.serving.priority import lower_priority
+from t2m_jax.text.coverage import Knowledge
 
 BATCH_SIZE = 32
 """Motions that are generated together."""
@@ -155,6 +156,12 @@ class Jobs:
         self._ready = self._loop.create_future()
         self._start_process()
         await self._ready
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """The words and actions that the model knows."""
+        words, taught = (frozenset(self.model[name]) for name in ("words", "taught"))
+        return Knowledge(words, tuple(self.model["actions"]), taught=taught)
 
     def stop(self) -> None:
         """Ends the process."""

@@ -69,7 +69,7 @@ async def _serve(jobs: Jobs, listener: socket.socket, token: str | None, on_read
         host, port = listener.getsockname()[:2]
         # The first sentence loads a dictionary. A search for garbage among all that was loaded would stop the event
         # loop for a quarter of a second.
-        MotionRequest(captions=("walk, then wave",)).in_turn(jobs.model["actions"])
+        MotionRequest(captions=("walk, then wave",)).in_turn(jobs.knowledge)
         gc.collect()
         gc.freeze()
         on_ready(f"http://{f'[{host}]' if ':' in host else host}:{port}/")

@@ -71,6 +71,7 @@ def describe_model(model: TextToMotion, name: str) -> ModelData:
         "stop_rules": _stop_rules(model),
         "actions": list(model.knowledge.actions),
         "words": sorted(model.knowledge.words),
+        "taught": sorted(model.knowledge.taught),
         "examples": list(model.examples),
     }
 

@@ -101,10 +101,15 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
     return _times(caption, _find_counts(caption, countable))
 
 
-def uncounted(caption: str, countable: Collection[str]) -> str:
-    """Returns the words of a number of times that no motion is made for, such as "100 times", "" if there are none."""
-    found = [said for said in _find_counts(caption, countable) if said.action]
-    return next((said.words for said in found if not 1 <= number_value(said.number) <= MOST_TIMES), "")
+def uncounted(caption: str, countable: Collection[str]) -> Iterator[tuple[str, str]]:
+    """Yields the words of each number of times that no motion is made for, such as "100 times", and why."""
+    found = _find_counts(caption, countable)
+    is_counted = _times(caption, found) is not None
+    for said in found:
+        if said.action and not 1 <= number_value(said.number) <= MOST_TIMES:
+            yield said.words, f"numbers of times from 1 to {MOST_TIMES} are counted"
+        elif countable and not is_counted and number_value(said.number) != 1 and _TIMES.fullmatch(said.words):
+            yield said.words, "without effect; one exact number of times of a kick, jump, wave or the like is followed"
 
 
 def counting_words(caption: str, countable: Collection[str]) -> frozenset[str]:

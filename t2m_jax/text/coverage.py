@@ -6,12 +6,14 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from t2m_jax.text.counts import MOST_TIMES, uncounted
-from t2m_jax.text.meanings import Embed, Meanings, Nearest, sentence_of
+from t2m_jax.text.counts import uncounted
+from t2m_jax.text.meanings import LONG_OBJECT, MAX_OBJECT, Embed, Meanings, Nearest, sentence_of
+from t2m_jax.text.paces import GAITS
 from t2m_jax.text.path_shapes import find_path_shape
-from t2m_jax.text.quantities import quantity_words
+from t2m_jax.text.quantities import quantity_words, unread_amounts
+from t2m_jax.text.spelling import has_foreign_word
 from t2m_jax.text.subjects import subject_problems
-from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, clause_before, word_set, words_of
+from t2m_jax.text.verbs import GENERIC_NOUNS, LIGHT_VERBS, SIDES, Word, clause_before, readings, word_set, words_of
 
 MIN_USES = 100
 """A word is known if the captions use it this often."""
@@ -44,8 +46,6 @@ NUMBERS = word_set(
 
 NOT = frozenset({"never", "nobody", "not"})
 """Words before what is not done. Others, such as "without" in "without stopping", hardly matter."""
-OPTIONS = {"degree": "the option `turn` bends the path by degrees", "second": "the option `seconds` sets the length"}
-"""What a person may use in place of words, by the unit of a number that has no effect."""
 
 
 class PromptWarning(UserWarning):
@@ -165,11 +165,15 @@ def check_coverage(
         countable: Basic forms of the verbs whose number is followed.
     """
     words = words_of(prompt) if knowledge.words else []
-    followed = quantity_words(prompt, countable)
-    unknown = [word for word in _unknown_words(words, knowledge) if word.text not in followed]
-    problems = [*_problems(words, unknown, knowledge), *_path_problems(prompt, unknown, knowledge)]
-    if often := uncounted(prompt, countable):
-        problems.append(f"{often}: numbers of times from 1 to {MOST_TIMES} are counted")
+    unknown = [word for word in _unknown_words(words, knowledge) if word.text not in quantity_words(prompt, countable)]
+    amounts = dict(_unread_amounts(prompt, unknown, knowledge))
+    in_amounts = frozenset(word.text for amount in amounts for word in words_of(amount))
+    problems = [
+        *_problems(words, [word for word in unknown if word.text not in in_amounts], knowledge),
+        *(f"{amount}: without effect; {advice}" for amount, advice in amounts.items()),
+        *_path_problems(prompt, unknown, knowledge),
+        *(f"{times}: {problem}" for times, problem in uncounted(prompt, countable)),
+    ]
     if read_part != prompt:
         # The end of what is read tells where the prompt was cut.
         problems.append(f"too long, so cut after {_shortened(read_part[::-1])[::-1]!r}")
@@ -180,8 +184,10 @@ def check_coverage(
 
 
 def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
-    # So many unknown words are hardly a matter of the choice of words.
-    is_foreign = 2 * len(unknown) > len(words)
+    texts = [word.text for word in unknown]
+    # So many words that are in no dictionary are hardly a matter of the choice of words.
+    foreign = [text for text in texts if not (readings(text) or text[0].isdigit())]
+    is_foreign = 2 * len(foreign) > len(words) or has_foreign_word(texts, knowledge.words)
     nearest = {} if is_foreign else _nearest_actions(words, unknown, knowledge)
     for text, found in nearest.items():
         if not found.is_same:
@@ -191,9 +197,8 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
     if without_effect:
         more = ", ..." * (len(without_effect) > MAX_NAMED)
         yield f"not learned, so without effect: {', '.join(without_effect[:MAX_NAMED])}{more}"
-    yield from _options(words, unknown)
     if is_foreign:
-        yield "write it in the language and style of the training captions"
+        yield f"write it in {'English' if 'the' in knowledge.words else 'the language of the training captions'}"
     if knowledge.words:
         yield from subject_problems(words)
     if undone := _undone(words, knowledge.actions):
@@ -203,14 +208,16 @@ def _problems(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowled
     missing = "" if is_foreign else _missing(words, knowledge)
     if missing:
         yield f"the training data have no motion like {missing!r}"
-    elif not nearest and not has_action(words, knowledge.actions):
+    elif not nearest and not has_action(words, _with_gaits(knowledge.actions)):
         yield from _no_action(words, knowledge)
 
 
 def _undone(words: Sequence[Word], actions: Collection[str]) -> str:
     """Returns a known action that a prompt says is not done, "" if there is none."""
     for place, word in enumerate(words):
-        if word.action in actions and not NOT.isdisjoint(clause_before(words, place)[-2:]):
+        before = clause_before(words, place)
+        is_prohibited = before[-1:] == ["no"] and word.text.endswith("ing")
+        if word.action in actions and (is_prohibited or not NOT.isdisjoint(before[-2:])):
             return word.text
     return ""
 
@@ -240,17 +247,20 @@ def _unknown_words(words: Iterable[Word], knowledge: Knowledge) -> list[Word]:
 def _path_problems(prompt: str, unknown: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
     """Yields the option that gives the path the shape that a prompt says, if captions had none, as the grammar."""
     shape = find_path_shape(prompt)
-    is_labeled = knowledge.meanings is not None and knowledge.meanings.are_labeled
-    if shape is not None and (is_labeled or any(shape.name in word.bases for word in unknown)):
+    if shape is not None and (_is_labeled(knowledge) or any(shape.name in word.bases for word in unknown)):
         yield f"{shape.name}: words do not shape the path; {shape.option}"
 
 
-def _options(words: Sequence[Word], unknown: Sequence[Word]) -> Iterator[str]:
-    """Yields the options that do what a number asks for, if it or its unit was not learned."""
-    for number, unit in itertools.pairwise(words):
-        is_number = number.text in NUMBERS or number.text[0].isdigit()
-        if is_number and (number in unknown or unit in unknown):
-            yield from (option for name, option in OPTIONS.items() if name in unit.bases)
+def _unread_amounts(prompt: str, unknown: Sequence[Word], knowledge: Knowledge) -> Iterator[tuple[str, str]]:
+    """Yields what `unread_amounts` finds, if captions of the grammar have no such amounts, or lack a word of it."""
+    texts = {word.text for word in unknown}
+    for amount, advice in unread_amounts(prompt):
+        if _is_labeled(knowledge) or any(word.text in texts for word in words_of(amount)):
+            yield amount, advice
+
+
+def _is_labeled(knowledge: Knowledge) -> bool:
+    return knowledge.meanings is not None and knowledge.meanings.are_labeled
 
 
 def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> dict[str, Nearest]:
@@ -272,11 +282,19 @@ def _no_action(words: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
     if knowledge.meanings is None:
         yield "it has no action that the model knows"
         return
-    places = [place for place, word in enumerate(words) if _is_action(word)][:MAX_NAMED]
-    texts = [*(sentence_of(words, place) for place in places), _joined(words)]
-    found = [knowledge.meanings.nearest(text) for text in texts]
+    # "Gets up" and "gives a round of applause" are actions, although their verbs say nothing.
+    places = [place for place, word in enumerate(words) if word.action][:MAX_NAMED]
+    texts = [sentence_of(words, place, longest=longest) for place in places for longest in (MAX_OBJECT, LONG_OBJECT)]
+    found = [knowledge.meanings.nearest(text) for text in dict.fromkeys([*texts, _joined(words)])]
     if not any(near.is_same for near in found):
-        yield f"it has no action that the model knows; nearest: {', '.join(found[0].actions)}"
+        # What is nearest to a text without a verb says nothing.
+        named = f"; nearest: {', '.join(found[0].actions)}" if places else ""
+        yield f"it has no action that the model knows{named}"
+
+
+def _with_gaits(actions: Collection[str]) -> frozenset[str]:
+    """Returns actions with other verbs for the same gaits, such as `trudge`, which captions have too rarely."""
+    return frozenset(actions).union(*(verbs for gait, verbs in GAITS.items() if gait in actions))
 
 
 def _joined(words: Sequence[Word]) -> str:

@@ -23,6 +23,8 @@ ACTIVITY_MARGIN = 0.05
 """How much nearer than what was learned the activities must be."""
 MAX_OBJECT = 3
 """Words after a verb that say what is done: "plays the piano"."""
+LONG_OBJECT = 5
+"""The same with a place, and with prepositions: "gives them a round of applause"."""
 
 Embed = Callable[[Sequence[str]], Float[Array | np.ndarray, "B E"]]
 
@@ -117,12 +119,16 @@ def _mean_of_best(cosines: Float[np.ndarray, " S"], count: int) -> float:
     return float(np.sort(cosines)[-count:].mean())
 
 
-def sentence_of(words: Sequence[Word], place: int) -> str:
-    """Returns a plain sentence about the action at a place in a caption: "a person plays the piano"."""
+def sentence_of(words: Sequence[Word], place: int, *, longest: int = MAX_OBJECT) -> str:
+    """Returns a plain sentence about the action at a place in a caption: "a person plays the piano".
+
+    It has up to `longest` words after the verb, and prepositions if that is more than `MAX_OBJECT`.
+    """
+    ends = CLAUSE_STARTS if longest > MAX_OBJECT else CLAUSE_STARTS | PREPOSITIONS
     rest = []
-    for word in words[place + 1 : place + 1 + MAX_OBJECT]:
+    for word in words[place + 1 : place + 1 + longest]:
         # A second verb is not the object of the first one.
-        if word.text in CLAUSE_STARTS | PREPOSITIONS or (word.action and word.text.endswith("s")):
+        if word.text in ends or (word.action and word.text.endswith("s")):
             break
         rest.append(word.text)
     return " ".join(["a person", inflected(words[place].action, "VBZ"), *rest])

@@ -85,7 +85,7 @@ _OTHERS = _pattern(
 )
 """What is said of something else: "as the sun slowly sets", "a quickly spinning wheel"."""
 _NEGATED = re.compile(rf"(?:{NEGATION}|\bless|n['\u2019]t)(?: [\w-]+){{0,3}} $", re.IGNORECASE)
-_GAITS = {
+GAITS = {
     "walk": word_set("amble dawdle march mosey plod saunter step stride stroll trudge walk"),
     "run": word_set("dash jog race run sprint"),
 }
@@ -115,7 +115,7 @@ def said_pace(caption: str) -> SaidPace | None:
     is_fast = _is_said("fast", _PACES["slow"].sub(",", own))
     if is_slow == is_fast:
         return None
-    gaits = [gait for gait, words in _GAITS.items() if words & bases_of(words_of(own))]
+    gaits = [gait for gait, words in GAITS.items() if words & bases_of(words_of(own))]
     return SaidPace(is_slow, gaits[0] if len(gaits) == 1 else "")
 
 

@@ -38,6 +38,9 @@ _SAME = (
     (r"\bs[ -](?:shape|curve)", "s-curve"),
 )
 """Other spellings of a shape, and the one that is looked for."""
+_ON_THE_SPOT = re.compile(r"\b(?:in (?:one |the same )?place|on (?:the|one|the same) spot|on (?:a|the) treadmill)\b")
+_STAYS = word_set("circle curve hop loop skip weave")
+"""Of the verbs of `TRAVELS`, those that may be done in one place."""
 _TO_THE_RIGHT = re.compile(r"(?<!counter[ -])(?<!anti[ -])\b(?:clockwise|right)\b")
 
 
@@ -55,6 +58,10 @@ def find_path_shape(caption: str) -> PathShape | None:
     for pattern, name in _SAME:
         text = re.sub(pattern, name, text)
     words = words_of(text)
+    spot = _ON_THE_SPOT.search(text)
+    verbs = [word for word in words_of(text[: spot.start()]) if word.action] if spot else []
+    if spot and verbs and _is_travel(verbs[-1]) and verbs[-1].bases.isdisjoint(_STAYS):
+        return PathShape(spot[0], "the option `in_place` removes the travel")
     for place in range(len(words)):
         name = _shape_at(words, place)
         is_turn = name in BENDS and any(word.text in SIDES for word in words)

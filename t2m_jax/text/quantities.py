@@ -1,7 +1,7 @@
-"""How long a sentence says that its motion lasts: "for five seconds"."""
+"""How long a sentence says that its motion lasts, "for five seconds", and which amounts nothing follows."""
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
 from t2m_jax.text.counts import counting_words
 from t2m_jax.text.numerals import ABOUT, NUMBER, START, ends_range, number_value, pattern, without_others
@@ -15,6 +15,19 @@ _TIME = pattern(
     r"(?P<half> and a half)?(?: full| whole| long)?",
     r"(?:[ -]?(?P<unit>seconds?|secs?|minutes?|mins?)|(?<=\d) ?s)\b(?P<later> and a half)?",
 )
+_OTHER_AMOUNT = pattern(
+    r"(?P<range>(?<![\w.])\d+ ?[-\u2013] ?\d+ ?(?:s|secs?|seconds?|mins?|minutes?)\b)|",
+    rf"{START}(?:(?:{NUMBER})[ -]?|an? )(?:(?P<degree>degrees?)|(?P<second>hours?|milliseconds?|ms)|",
+    r"(?P<meter>met(?:er|re)s?|kilomet(?:er|re)s?|km|cm|m|miles?|yards?|inch(?:es)?|(?<!two )(?<!2 )feet)",
+    r"(?! (?:high|tall|wide|deep|long|per|away|apart|off|above|from)))\b",
+)
+ADVICE = {
+    "range": "the option `seconds` sets the length",
+    "degree": "the option `turn` bends the path of a sentence without a turn",
+    "meter": "the option `path` leads through points in meters",
+    "second": "the option `seconds` sets the length",
+}
+"""What a person may use in place of an amount, by its unit."""
 _AND = pattern("(?:,|,? and)? ?")
 """What stands between minutes and seconds."""
 _NO_LENGTH_AFTER = pattern(
@@ -61,6 +74,21 @@ def quantity_words(caption: str, countable: Collection[str] = ()) -> frozenset[s
     return counting_words(caption, countable) | frozenset(times)
 
 
+def unread_amounts(caption: str) -> Iterator[tuple[str, str]]:
+    """Yields the amounts that a sentence says and no motion follows, such as "90 degrees", and what gives them.
+
+    A time is one if it may be how long the motion lasts: in "for two to three seconds", not in "every two seconds".
+    """
+    own = without_others(caption)
+    for amount in _OTHER_AMOUNT.finditer(own):
+        yield amount[0], ADVICE[amount.lastgroup or ""]
+    for time in _TIME.finditer(own) if said_seconds(caption) is None else ():
+        before = own[: time.start()]
+        after = own[time.end() :]
+        if not (_is_decade(time, own) or _is_apart(before, after) or _is_pause(before, own) or _is_undone(before)):
+            yield time[0], ADVICE["second"]
+
+
 def _seconds(time: re.Match[str]) -> float:
     number = 1.0 if time["a"] else number_value(time["number"])
     if time["half"] or time["later"]:
@@ -81,9 +109,14 @@ def _find_length(caption: str) -> list[re.Match[str]]:
 
 def _is_length(before: str, after: str, caption: str) -> bool:
     """Returns whether a time between two texts is how long a motion lasts."""
-    is_other = _NO_LENGTH_AFTER.search(before) or _NO_LENGTH_BEFORE.match(after) or ends_range(before)
+    is_other = _is_apart(before, after) or ends_range(before)
+    return not (is_other or _is_pause(before, caption) or _is_undone(before))
+
+
+def _is_apart(before: str, after: str) -> bool:
+    """Returns whether a time between two texts says when, and not how long."""
     waits = _STANDS_STILL.search(before) and _GOES_ON.match(after)
-    return not (is_other or waits or _is_pause(before, caption) or _is_undone(before))
+    return bool(_NO_LENGTH_AFTER.search(before) or _NO_LENGTH_BEFORE.match(after) or waits)
 
 
 def _is_undone(before: str) -> bool:

@@ -66,8 +66,8 @@ _ORDERS = (
     _order(rf"{_BEFORE} (?P<second>.+?), (?P<first>.+)", "second"),
     _order(rf"(?:{_AFTER}|having) (?P<first>(?:{_PERSON} )?[^,]+?) (?P<second>{_PERSON} .+)", "first"),
     _order(rf"(?:{_AFTER}|having) (?P<first>.+?), (?P<second>.+)", "first"),
-    _order(r"(?P<first>.+?)[.;!] (?P<second>.+)"),
-    _order(rf"(?P<first>.+?){_NO_ORDER}{_AND}? {_THEN},? (?P<second>.+)"),
+    _order(r"(?P<first>.+?)[.;!](?: |(?-i:(?<=[a-z].)(?=[A-Z])))(?P<second>.+)"),
+    _order(rf"(?P<first>.+?){_NO_ORDER}(?:{_AND}? |\.\.\.? ?){_THEN},? (?P<second>.+)"),
     _order(r"(?P<first>.+?),? followed (?:[\w ]{1,20} )?by (?P<second>.+)"),
     _order(rf"(?P<first>.+?){_AND} {_LATER},? (?P<second>.+)"),
     _order(r"(?P<second>.+?),? (?:but |though )?not (?:before|until) (?P<first>.+)", "first"),
@@ -75,6 +75,11 @@ _ORDERS = (
     _order(rf"(?P<first>.+?),? {_BEFORE} (?P<second>.+)", "second"),
     _order(rf"(?P<first>.+?),? (?:un)?till? (?P<second>(?:{_PERSON} |\w+ing ).+)", "second"),
 )
+_STANDS_UP = r"\b(?:(?:stands?|stood|gets?|got|rises?|rose) (?:back )?up|(?:gets?|got) to \w+ feet|bow(?:s|ed)?)\b"
+_LEAVES_STANDING = r"(?:(?:sits?|sat|lies?|lay|kneels?|knelt) (?:back )?down|bow(?:s|ed)?)\b"
+_RISING = re.compile(rf"(?P<first>.*?{_STANDS_UP}.*?),? and (?:{_PERSON} )?(?P<second>.+)", re.IGNORECASE)
+_SINKING = re.compile(rf"(?P<first>.+?),? and (?:{_PERSON} )?(?P<second>{_LEAVES_STANDING}.*)", re.IGNORECASE)
+"""Two actions around an "and" that need two postures: "stands up and walks", "waves and sits down"."""
 _LIST = re.compile(r"(?P<first>[^,]+),(?: and)? (?P<second>.+)")
 _OPENING = re.compile(
     rf"(?:(?:and|but|first(?:ly)?|second(?:ly)?|first of all|{_THEN}|{_LATER}|having|is|comes),? )+", re.IGNORECASE
@@ -162,9 +167,15 @@ def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str
                 yield full
             elif is_action(first) and is_action(second) and is_doing:
                 yield first, second
-    found = _LIST.fullmatch(text)
-    if found is not None and _goes_on(found["second"], is_known) and is_action(found["first"]):
-        yield found["first"], found["second"]
+    for first, second in [*_parts(_RISING, text), *_parts(_SINKING, text), *_parts(_LIST, text)]:
+        if _goes_on(second, is_known) and is_action(first):
+            yield first, second
+
+
+def _parts(pattern: re.Pattern[str], text: str) -> list[tuple[str, str]]:
+    """Returns the first and the second part of a text that matches a pattern."""
+    found = pattern.fullmatch(text)
+    return [] if found is None else [(found["first"], found["second"])]
 
 
 def _without_opening(part: str) -> str:

@@ -2,9 +2,18 @@
 
 import re
 import string
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from t2m_jax.text.verbs import AUXILIARIES, CLAUSE_STARTS, DETERMINERS, PREPOSITIONS, SUBJECTS, forms, readings
+from t2m_jax.text.verbs import (
+    AUXILIARIES,
+    CLAUSE_STARTS,
+    DETERMINERS,
+    PREPOSITIONS,
+    SUBJECTS,
+    forms,
+    readings,
+    word_set,
+)
 
 MOST_MISTAKES = 3
 """With more words that may be mistakes, a prompt is hardly English, and each costs hundreds of lookups."""
@@ -12,7 +21,13 @@ SHORTEST = 4
 """Letters of the shortest word that is corrected; shorter ones are one letter away from too many others."""
 # No parts of "doesn't" or "party-goer".
 _WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
-_GRAMMAR = AUXILIARIES | CLAUSE_STARTS | DETERMINERS | PREPOSITIONS | SUBJECTS
+FOREIGN = word_set(
+    """auf avec che com con das dem der dos due dans deux ein eine einem einen einer elle et ett gli hacia het il las
+    les los mientras mit nach naar nicht och para puis qui sich um uma un una und une uno vers verso zum zur zwei een"""
+)
+"""Frequent words of other languages. Those that are English words, too, are looked for, but say nothing."""
+_SPOKEN = word_set("gimme gonna gotta kinda lemme wanna")
+_GRAMMAR = _SPOKEN | AUXILIARIES | CLAUSE_STARTS | DETERMINERS | PREPOSITIONS | SUBJECTS
 
 
 def correct_spelling(
@@ -25,8 +40,8 @@ def correct_spelling(
         known: Words that may have been meant, in lower case; all forms of them may.
         rare: Those of them that hardly anybody means: they are no mistakes, but no mistake is read as one of them.
     """
-    suspects = {found[0] for found in _WORD.finditer(prompt) if _may_be_mistake(found, known)}
-    if len(suspects) > MOST_MISTAKES:
+    suspects = dict.fromkeys(found[0] for found in _WORD.finditer(prompt) if _may_be_mistake(found, known))
+    if len(suspects) > MOST_MISTAKES or has_foreign_word(prompt.lower().split(), known):
         return prompt, {}
     read = {}
     for word in suspects:
@@ -34,6 +49,11 @@ def correct_spelling(
         if other is not None:
             read[word] = other
     return _WORD.sub(lambda found: read.get(found[0], found[0]), prompt), read
+
+
+def has_foreign_word(words: Iterable[str], known: frozenset[str]) -> bool:
+    """Returns whether words are in another language than English and those that a model knows."""
+    return any(word in FOREIGN and word not in known and not readings(word) for word in words)
 
 
 def _may_be_mistake(found: re.Match[str], known: frozenset[str]) -> bool:

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Iterator, Sequence
 
-from t2m_jax.text.verbs import LIGHT_VERBS, PREPOSITIONS, SUBJECTS, Word, readings, word_set
+from t2m_jax.text.verbs import AUXILIARIES, CLAUSE_STARTS, LIGHT_VERBS, PREPOSITIONS, SUBJECTS, Word, readings, word_set
 
 ANIMALS = word_set(
     """alligator ant ape bear bee beetle bird bug bull butterfly camel cat caterpillar cheetah chicken chimp chimpanzee
@@ -14,8 +14,15 @@ ANIMALS = word_set(
     seal shark sheep sloth snail snake sparrow spider squirrel stag swan tiger toad tortoise turkey turtle unicorn
     wasp whale wolf worm zebra"""
 )
+THINGS = word_set(
+    """airplane ball balloon bell bicycle bike boat book bottle bus car clock cloud cup curtain door elevator engine
+    fire flag flower house lamp leaf machine moon phone plane rain river rocket ship snow sun table telephone tractor
+    train tree truck van wagon wheel wind window"""
+)
 COMPARED = frozenset({"like", "as", "than", "pretend", "pretends", "pretending", "imitates", "imitating", "costume"})
 """Before an animal: "walks like a monkey"."""
+_NO_SUBJECT = PREPOSITIONS | CLAUSE_STARTS
+"""Words after which no subject of a sentence is looked for."""
 NEAR = 4
 """Words before an animal among which a comparison is looked for."""
 PERSON = word_set(
@@ -26,7 +33,8 @@ PERSON = word_set(
 DOING = word_set("do execute perform")
 """Verbs before the name of an exercise."""
 SEVERAL = word_set("two three four five six seven eight nine ten both several many some few couple pair group crowd")
-CROWDS = word_set("people crowd duo trio couple")
+CROWDS = word_set("people crowd duo trio couple everybody everyone team")
+_ONE = word_set("he her him i me she you")
 OTHERS = word_set("opponent partner")
 """Whom somebody moves with."""
 
@@ -36,6 +44,9 @@ def subject_problems(words: Sequence[Word]) -> Iterator[str]:
     animal = _animal(words)
     if animal:
         yield f"{animal}: the model knows how people move, not animals"
+    thing = _thing(words)
+    if thing:
+        yield f"{thing}: the model knows how people move, not things"
     several = _several(words)
     if several:
         yield f"{several}: one person moves, not several"
@@ -58,6 +69,18 @@ def _animal(words: Sequence[Word]) -> str:
     return ""
 
 
+def _thing(words: Sequence[Word]) -> str:
+    """Returns the thing directly before the first action: "the old car turns", but not "a man in a car waves"."""
+    before = _subject(words)
+    subject = [word for word in before if word.text not in AUXILIARIES]
+    is_other = any(_is_person(word) or word.text in _NO_SUBJECT | SUBJECTS for word in subject)
+    action, after = words[len(before) :][:1], words[len(before) + 1 :]
+    # "Window cleaning" and "the ball is thrown by a man".
+    is_done = not action or (action[0].text.endswith("ing") and subject == before) or "by" in (w.text for w in after)
+    is_thing = bool(subject) and not THINGS.isdisjoint(subject[-1].bases)
+    return subject[-1].text if is_thing and not (is_other or is_done) else ""
+
+
 def _subject(words: Sequence[Word]) -> list[Word]:
     """Returns the words before the first action."""
     return list(itertools.takewhile(lambda word: not word.action or word.action in LIGHT_VERBS, words))
@@ -77,6 +100,10 @@ def _several(words: Sequence[Word]) -> str:
             return " ".join(texts[place - len(before) + first : place + 1])
         if _is_person(word) and _joins(subject[max(place - 4, 0) : place]):
             return f"and {' '.join(texts[place - 1 : place + 1])}"
+        # "The kids jump", but not "as children do, he jumps".
+        is_plural = _is_person(word) and word.text not in PERSON and texts[place - 1 : place] not in (["a"], ["an"])
+        if is_plural and not any(other.text in _NO_SUBJECT | COMPARED for other in subject[:place]):
+            return word.text
         # Not "a couple of steps".
         if word.text in CROWDS and texts[place + 1 : place + 2] != ["of"]:
             return word.text
@@ -84,8 +111,8 @@ def _several(words: Sequence[Word]) -> str:
 
 
 def _joins(words: Sequence[Word]) -> bool:
-    """Returns whether words before a person join another one to it: "a man and a"."""
-    return "and" in (word.text for word in words) and any(map(_is_person, words))
+    """Returns whether words before a person join another one to it: "a man and a", "me and my"."""
+    return "and" in (word.text for word in words) and any(_is_person(word) or word.text in _ONE for word in words)
 
 
 def _is_person(word: Word) -> bool:

@@ -40,7 +40,7 @@ from t2m_jax.sampling.loop import STOP_STREAM
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.text_encoders import make_text_encoder
 from t2m_jax.text.bpe import TOKENIZER_FILE, save_bpe, train_bpe
-from t2m_jax.text.coverage import make_knowledge
+from t2m_jax.text.coverage import Knowledge, make_knowledge
 from t2m_jax.text.prompts import check_prompt
 from tests.clip_golden import FULL
 from tests.conftest import REPOSITORY
@@ -184,7 +184,7 @@ def test_words_are_named_that_python_follows_and_the_page_does_not(modules):
     files = [yaml.safe_load((folder / name).read_text()) for name in ("sequence.yaml", "quantities.yaml")]
     entries = [entry for file in files for part in file.values() for entry in part]
     texts = [entry if isinstance(entry, str) else entry["text"] for entry in entries]
-    requests = [MotionRequest(captions=(text,)).in_turn(known) for text in texts]
+    requests = [MotionRequest(captions=(text,)).in_turn(Knowledge(frozenset(), known)) for text in texts]
     # A pace is known to the model itself; Python only takes the best of some samples.
     is_followed = [request.lengths != (None,) or request.times != (None,) for request in requests]
     followed = list(itertools.compress(texts, is_followed))

@@ -130,20 +130,31 @@ def test_only_sentences_with_a_pace_are_chosen_by_it():
     assert whole.paces == (None,) and whole.is_plain
 
 
-def test_a_fast_walk_is_not_a_run(model, monkeypatch):
+@pytest.fixture
+def chosen(model, monkeypatch):
+    """Returns a function of speeds in m/s, and of a pace, that gives the number of the candidate that is chosen."""
     going = np.arange(20.0)[:, None, None] * np.array([1.0, 0.0, 0.0]) / model.skeleton.fps
-    shown = [np.repeat(speed * going, 22, axis=1) for speed in (1.0, 4.0, 1.9, 3.0)]
-    monkeypatch.setattr("t2m_jax.sampling.choosing._decoded", lambda model, candidates: shown)
-    candidates = [np.full((1, 1), number) for number in range(4)]
 
-    def chosen(is_slow, gait):
+    def choose_number(speeds, *, is_slow, gait=""):
+        shown = [np.repeat(speed * going, 22, axis=1) for speed in speeds]
+        monkeypatch.setattr("t2m_jax.sampling.choosing._decoded", lambda model, candidates: shown)
+        candidates = [np.full((1, 1), number) for number in range(len(speeds))]
         return int(choose_by_pace(model.parts, candidates, SaidPace(is_slow, gait))[0, 0])
 
-    assert [chosen(False, gait) for gait in ("walk", "run", "")] == [2, 1, 1]
-    assert [chosen(True, gait) for gait in ("walk", "run", "")] == [0, 2, 0]
-    del shown[0], shown[1]
-    del candidates[2:]
-    assert chosen(False, "walk") == 0  # all run
+    return choose_number
+
+
+def test_a_fast_walk_is_not_a_run(chosen):
+    speeds = (1.0, 4.0, 1.9, 3.0)
+    assert [chosen(speeds, is_slow=False, gait=gait) for gait in ("walk", "run", "")] == [2, 1, 1]
+    assert [chosen(speeds, is_slow=True, gait=gait) for gait in ("walk", "run", "")] == [0, 2, 0]
+    assert chosen((4.0, 3.0), is_slow=False, gait="walk") == 0, "all run"
+
+
+def test_who_hardly_moves_is_not_slow(chosen):
+    assert chosen((0.1, 0.5, 0.6, 0.7), is_slow=True, gait="walk") == 1
+    assert chosen((0.1, 1.0, 0.9, 1.1), is_slow=True) == 2, "a tenth of what others do"
+    assert chosen((0.1, 0.1, 0.15, 0.12), is_slow=True) == 0, "nobody moves much"
 
 
 def test_a_count_is_more_than_a_pace(model):

@@ -12,6 +12,8 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import Greedy, TextToMotion
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions, sentences
+from t2m_jax.text.coverage import Knowledge
+from t2m_jax.text.verbs import word_set
 from tests import tiny
 
 NAN = float("nan")
@@ -282,11 +284,27 @@ def test_a_stream_of_actions_in_turn_is_their_motion(knowing):
         np.testing.assert_allclose(np.concatenate([piece.positions for piece in pieces]), motion.positions, atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [
+        ("a person walks forward, tehn a person waves", ("a person walks forward", "a person waves")),
+        ("wlaks tehn waves", ("walks", "waves")),
+        ("waves three tmies", ("waves three times",)),
+        ("walks for fiev seconds", ("walks for five seconds",)),
+        ("walks slowyl", ("walks slowly",)),
+        ("a person wlaks", ("a person wlaks",)),  # corrected when it is read, and the warning says so
+    ],
+)
+def test_mistakes_that_hide_an_order_or_a_number_are_corrected_first(typed, read):
+    words = word_set("a person walks forward waves then three times for five seconds slowly")
+    assert MotionRequest(captions=(typed,)).in_turn(Knowledge(words, ("walk", "wave"))).captions == read
+
+
 @pytest.mark.slow
 def test_actions_in_turn_share_the_seconds(knowing):
     request = MotionRequest(captions=(IN_TURN,), seconds=4.0)
-    assert request.in_turn(knowing.knowledge.actions).seconds == 2.0
+    assert request.in_turn(knowing.knowledge).seconds == 2.0
     assert abs(next(knowing.make(request)).num_frames - 80) <= 8
     for fields in ({"span": (0.0, 1.0)}, {"strength": 0.5}):
         change = MotionRequest(captions=(IN_TURN,), start=WALK, **fields)
-        assert change.in_turn(knowing.knowledge.actions) is change
+        assert change.in_turn(knowing.knowledge) is change

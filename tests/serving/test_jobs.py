@@ -37,7 +37,7 @@ class QueueOnly(Jobs):
 
     def _start_process(self):
         self._process, self.sent = FakeProcess(), []
-        self.say("ready", {"name": "none", "actions": ["walk", "wave"]})
+        self.say("ready", {"name": "none", "actions": ["walk", "wave"], "words": [], "taught": []})
 
     def _send(self, message):
         self.sent.append(message)

@@ -21,8 +21,10 @@ from t2m_jax.serving.schema import (
     read_body,
     read_parameters,
 )
+from t2m_jax.text.coverage import Knowledge
 from tests.export.conftest import walk  # noqa: F401 - a fixture
 
+KNOWN = Knowledge(frozenset(), ("walk", "wave"))
 GOOD = {"captions": ["a person walks"]}
 
 
@@ -131,13 +133,13 @@ def test_what_cannot_be_used_is_named(fields, message):
 )
 def test_lengths_in_words_have_limits_too(fields, message):
     with pytest.raises(UserError, match=message):
-        check_lengths(request_of(GOOD | fields).in_turn(["walk", "wave"]))
+        check_lengths(request_of(GOOD | fields).in_turn(KNOWN))
 
 
 def test_a_length_that_is_divided_among_actions_may_reach_the_limit():
     """Seventeen parts of 600 seconds add up to a little more, in floating-point numbers."""
     captions = ["walks, then waves"] * 7 + ["walks"] * 3
-    check_lengths(request_of(GOOD | {"captions": captions, "seconds": 60}).in_turn(["walk", "wave"]))
+    check_lengths(request_of(GOOD | {"captions": captions, "seconds": 60}).in_turn(KNOWN))
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,8 @@ def sides(text):
 
 def test_sentences_of_another_person_are_understood(known):
     whole = [caption for caption in SENTENCES["one_action"] if len(split_sequence(caption, known)) == 1]
-    cut = [caption for caption in SENTENCES["two_actions"] if len(split_sequence(caption, known)) == 2]
+    # Some have a third action behind an "and".
+    cut = [caption for caption in SENTENCES["two_actions"] if len(split_sequence(caption, known)) >= 2]
     assert len(SENTENCES["one_action"]) == len(SENTENCES["two_actions"]) == 50
     assert len(whole) >= 45 and len(cut) >= 45
     found = [(split_sequence(one["text"], known), (one["first"], one["second"])) for one in SENTENCES["other_side"]]

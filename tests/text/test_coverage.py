@@ -55,14 +55,14 @@ def test_numbers_that_are_followed_have_an_effect(demo):
         ("a person walks seventeen steps", "not learned, so without effect: seventeen"),
         (
             "a person walks 90 degrees left",
-            "not learned, so without effect: 90; the option `turn` bends the path by degrees",
+            "90 degrees: without effect; the option `turn` bends the path of a sentence without a turn",
         ),
         (
             "a person walks every seventeen seconds",
-            "not learned, so without effect: seventeen; the option `seconds` sets the length",
+            "not learned, so without effect: seventeen",
         ),
         ("a man does a backflip", "it has no action that the model knows"),
-        ("asdf qwer", "not learned, so without effect: asdf, qwer; write it in the language and style of the training"),
+        ("asdf qwer", "not learned, so without effect: asdf, qwer; write it in English"),
         ("une personne marche lentement", "not learned, so without effect: une, personne, marche, lentement; write it"),
         (
             "b c d e f g h j k l m n o",

@@ -66,6 +66,23 @@ def test_a_sentence_without_a_verb_that_tells_it_is_compared_as_a_whole(encoder)
     assert "it has no action that the model knows; nearest: " in said
 
 
+@pytest.mark.parametrize("prompt", ["gets up", "a person gets up off the floor", "trudging along", "a man marches off"])
+def test_actions_with_verbs_that_say_nothing_and_rare_gaits_are_known(encoder, prompt):
+    actions = (*ACTIONS, "rise", "stand")
+    words = WORDS | frozenset(prompt.split())
+    assert (
+        warning(
+            prompt,
+            Knowledge(words, actions, Meanings(actions, encoder.sentence_embeddings, learned=["a person gets up"])),
+        )
+        == ""
+    )
+
+
+def test_nothing_is_nearest_to_a_text_without_a_verb(knowledge):
+    assert "nearest" not in warning("the hand", knowledge) and "no action" in warning("the hand", knowledge)
+
+
 def _axis(sentence):
     """Of vectors that mean walking, running, jumping, and something else."""
     words = ("walks", "runs", "jumps")

@@ -29,7 +29,18 @@ def test_a_shape_names_its_option(caption, option):
 
 @pytest.mark.parametrize(
     "caption",
+    ["a person walks in place", "running on the spot", "he hops and jogs on a treadmill", "march in one place"],
+)
+def test_going_on_the_spot_names_its_option(caption):
+    assert find_path_shape(caption).option == "the option `in_place` removes the travel"
+
+
+@pytest.mark.parametrize(
+    "caption",
     [
+        "turns on the spot",
+        "hops in place",
+        "stands in place",
         "a person swings the arms in circles while he walks",
         "she draws circles with a finger",
         "a man walks in the square",

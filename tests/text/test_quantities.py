@@ -6,9 +6,9 @@ import pytest
 import yaml
 
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS
-from t2m_jax.text.counts import said_times
+from t2m_jax.text.counts import said_times, uncounted
 from t2m_jax.text.prompts import MAX_PROMPT_LENGTH
-from t2m_jax.text.quantities import quantity_words, said_seconds
+from t2m_jax.text.quantities import quantity_words, said_seconds, unread_amounts
 
 SENTENCES = yaml.safe_load(Path(__file__).with_name("quantities.yaml").read_text())
 
@@ -117,6 +117,45 @@ def test_the_side_counts():
     assert said_times("throws two right-hand punches", COUNTED_ACTIONS).sides == {"right"}
     assert said_times("takes two steps to the left", COUNTED_ACTIONS).sides == {"left", "right"}
     assert said_times("kicks left and right three times", COUNTED_ACTIONS).sides == {"left", "right"}
+
+
+@pytest.mark.parametrize(
+    ("caption", "amounts"),
+    [
+        ("walks three meters", ["three meters"]),
+        ("runs a mile", ["a mile"]),
+        ("walks 2m, then turns ninety degrees", ["2m", "ninety degrees"]),
+        ("walks for an hour", ["an hour"]),
+        ("runs for two to three seconds", ["three seconds"]),
+        ("runs for 3-5 seconds", ["3-5 seconds"]),
+        ("walks for eleven minutes", ["eleven minutes"]),
+        ("walks ten feet", ["ten feet"]),
+        ("I am walking", []),
+        ("jumps with two feet", []),
+        ("jumps 50 cm high", []),
+        ("walks for five seconds", []),
+        ("after three seconds she waves", []),
+        ("every two seconds", []),
+    ],
+)
+def test_amounts_that_nothing_follows(caption, amounts):
+    assert [amount for amount, _ in unread_amounts(caption)] == amounts
+
+
+@pytest.mark.parametrize(
+    ("caption", "found"),
+    [
+        ("spins twice", ["twice"]),
+        ("sits down and claps, five times", []),
+        ("jumps 2 times and claps 3 times", ["2 times", "3 times"]),
+        ("kicks 100 times", ["100 times"]),
+        ("turns around once", []),
+        ("kicks twice", []),
+        ("jumps two or three times", ["three times"]),
+    ],
+)
+def test_times_that_are_not_counted(caption, found):
+    assert [times for times, _ in uncounted(caption, COUNTED_ACTIONS)] == found
 
 
 def test_words_of_quantities():

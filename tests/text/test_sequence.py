@@ -116,6 +116,29 @@ def is_same(part, expected):
     return plain(expected) in plain(part) or plain(part) in plain(expected)
 
 
+@pytest.mark.parametrize(
+    ("caption", "parts"),
+    [
+        ("a man stands up and walks off", ("a man stands up", "walks off")),
+        ("she gets to her feet, and she waves", ("she gets to her feet", "waves")),
+        ("he jumps and sits down", ("he jumps", "sits down")),
+        ("walks and waves and bows", ("walks and waves", "bows")),
+        ("a person walks.A person waves.", ("a person walks", "A person waves")),
+        ("walk...then wave", ("walk", "wave")),
+    ],
+)
+def test_two_postures_are_in_turn(known, caption, parts):
+    assert split_sequence(caption, known) == parts
+
+
+@pytest.mark.parametrize(
+    "caption",
+    ["walks and waves", "sits down and waves", "bends down and stands up", "he jumps and turns", "walk e.g.a lot"],
+)
+def test_other_actions_around_an_and_are_at_once(known, caption):
+    assert split_sequence(caption, known) == (caption,)
+
+
 def test_sentences_of_other_people_are_cut_as_they_say(known):
     found = [(split_sequence(one["text"], known), one["parts"]) for one in SENTENCES["sequences"]]
     right = [len(cut) == len(parts) and all(map(is_same, cut, parts)) for cut, parts in found]

@@ -39,6 +39,8 @@ def test_one_mistake_is_corrected(typed, meant):
         "the person is among those within",  # words of grammar that no caption has
         "walks 90 degrees, 3x, and doesn't jumb-o",
         "une personne marche lentement",
+        "een man springt, wlaks",  # one word of another language is enough
+        "wanna walk",
     ],
 )
 def test_nothing_else_is_changed(prompt):

@@ -58,6 +58,11 @@ def test_people_with_animals_are_people(caption):
         ("a man and a woman dance", "and a woman"),
         ("he fights his opponent", "opponent"),
         ("a couple dances a waltz", "couple"),
+        ("some kids jump", "some kids"),
+        ("the soldiers march", "soldiers"),
+        ("me and my friend walk", "and my friend"),
+        ("everybody claps", "everybody"),
+        ("the team runs onto the pitch", "team"),
     ],
 )
 def test_several_people_are_named(caption, named):
@@ -65,9 +70,42 @@ def test_several_people_are_named(caption, named):
 
 
 @pytest.mark.parametrize(
+    ("caption", "thing"),
+    [
+        ("a car turns left", "car"),
+        ("the old red door opens", "door"),
+        ("rain falls", "rain"),
+        ("the flag is waving in the wind", "flag"),
+    ],
+)
+def test_things_that_move_are_named(caption, thing):
+    assert problems(caption) == [f"{thing}: the model knows how people move, not things"]
+
+
+@pytest.mark.parametrize(
+    "caption",
+    [
+        "a man in a car waves",
+        "the ball is kicked twice by the goalkeeper",
+        "kicks a ball",
+        "window cleaning motion",
+        "he opens the door",
+        "as a bus drives by, she waves",
+        "the bus driver waves",
+        "a tree pose",
+    ],
+)
+def test_people_with_things_are_people(caption):
+    assert problems(caption) == []
+
+
+@pytest.mark.parametrize(
     "caption",
     [
         "they walk",
+        "a women sits down",
+        "like children, he jumps",
+        "a friend of the players waves",
         "a person takes two steps",
         "he raises both hands",
         "two waves",
