@@ -135,7 +135,8 @@ def check_stored_statistics(dataset: Dataset, splits: dict[str, tuple[str, ...]]
             return []
     if not differences:
         return []
-    return [f"Mean.npy, Std.npy: differ from the clips by {min(differences):.2f} of their spread; import them again"]
+    difference = f"differ from the clips by {min(differences):.2f} of their spread"
+    return [f"Mean.npy, Std.npy: {difference}; delete both and import again, which computes them"]
 
 
 def check_manifest(folder: Path) -> list[str]:

@@ -110,7 +110,7 @@ def load_index(folder: str | Path) -> ClipIndex | None:
     if not path.exists():
         return None
     try:
-        with reading(path), path.open(encoding="utf-8", newline="") as lines:
+        with reading(path), path.open(encoding="utf-8-sig", newline="") as lines:
             entries = list(csv.DictReader(lines))
     except csv.Error as error:
         raise UserError(f"{path}: cannot be read ({error}); expected a table with the column {NAME}") from error

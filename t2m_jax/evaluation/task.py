@@ -118,7 +118,8 @@ def load_samples(dataset: Dataset, split: str, *, min_frames: int = 1, source_di
         if len(sample.features) >= min_frames
     ]
     if not pairs:
-        raise UserError(f"{dataset.folder}: split {split} has no motion with a caption; choose another split")
+        lengths = f"{dataset.info.min_frames} to {dataset.info.max_frames + 3} frames"
+        raise UserError(f"{dataset.folder}: split {split} has no motion of {lengths} with a caption; choose another")
     names, samples = zip(*pairs, strict=True)
     if index is None or not index.has("label"):
         return Samples(samples, None, shared)

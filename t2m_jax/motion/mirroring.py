@@ -12,8 +12,12 @@ _TURNS = {"clockwise": "counterclockwise", "counterclockwise": "clockwise", "ant
 _TURNS |= {"cw": "ccw", "ccw": "cw"}
 _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _LETTER = r"[^\W\d_]"
+_NO_SIDE = (
+    r"right (?:away|here|now|there)|all right|"
+    r"(?:boy|girl|he|it|man|person|she|somebody|someone|they|who|woman) left (?:a|an|the|her|his|its|their)"
+)
 _WORD = re.compile(
-    rf"(?<!{_LETTER})(?:(?P<side>left|right)(?P<ending>ward|wards|most|s|hand|handed)?"
+    rf"(?<!{_LETTER})(?:(?P<kept>{_NO_SIDE})|(?P<side>left|right)(?P<ending>ward|wards|most|s|hand|handed)?"
     rf"|(?P<letter>(?-i:[LR]))(?=\.?[-\s](?:arm|hand|wrist|elbow|shoulder|fist|leg|foot|knee|ankle|hip|heel|side))"
     rf"|(?P<turn>(?:(?:counter|anti)[-\s]?)?clockwise|c?cw))(?!{_LETTER})",
     re.IGNORECASE,
@@ -48,6 +52,8 @@ def mirror_caption(text: str) -> str:
 
 def _mirrored_word(match: re.Match[str]) -> str:
     """Returns the other side or turn for one that was found in a text."""
+    if match["kept"]:  # "he left the stage"
+        return match.group()
     if match["turn"]:
         return _like(match.group(), _TURNS[re.sub(r"[-\s]", "", match.group().lower())])
     side = match["side"] or match["letter"]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,6 +35,8 @@ from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorCo
 from t2m_jax.train.optimizer import Metrics, descend_in_parts
 from t2m_jax.train.program import Update
 from t2m_jax.train.streams import stream_key
+
+logger = logging.getLogger(__name__)
 
 SIZES_OF_TOKENIZER = {"num_codes", "num_quantizers", "code_dim"}
 """Fields of a generator's config that are taken from its tokenizer."""
@@ -159,6 +162,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     clips = training_clips(config, dataset, "train", fraction=config.data_fraction)
     opened = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
+    learned = {motion.clip for motion in motions}
     motions = tokenize.add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, opened, resume=resume)
     bank = tokenize.make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))
@@ -175,7 +179,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
 
     return Setup(
         dataset=dataset,
-        clips=clips,
+        clips=[clip for clip in clips if clip.name in learned],
         data=bank,
         init=lambda: steps.with_tokenizer(steps.init(compiled, stream_key(config.loop.seed, "init")), tokenizer),
         update=Update(steps.update, config=compiled),
@@ -202,6 +206,12 @@ def start_from_model(path: Path, tokenizer: TrainedTokenizer, *, parts: InitPart
         UserError: There is none, or its codes mean something else because it has another tokenizer.
     """
     model = load_model(path)
+    codes = model.config.tokenizer.num_quantizers
+    if codes != tokenizer.config.num_quantizers:
+        kind = f"a {model.config.generator.kind} with {codes} codes per row"
+        raise UserError(
+            f"init: {path} is {kind}, and the tokenizer has {tokenizer.config.num_quantizers}; start from another model"
+        )
     own = TrainedTokenizer(model.config.tokenizer, model.variables["tokenizer"], model.normalizer)
     same = tokenizer.has_codes_of(own)
     if not same and parts == "all":
@@ -261,11 +271,15 @@ def draw_shares(
 def make_validation(
     config: Any, steps: GeneratorSteps, dataset: Dataset, tokenizer: TrainedTokenizer, reader: CaptionReader
 ) -> Validation | None:
-    """Returns the validation on one pass over the validation split, None if it is empty or turned off."""
+    """Returns the validation on one pass over the validation split, None if it has nothing to use or is turned off."""
     clips = training_clips(config, dataset, "val") if config.loop.validate_every else []
     if not clips:
         return None
-    motions = code_motions(config, clips, dataset, tokenizer)
+    try:
+        motions = code_motions(config, clips, dataset, tokenizer)
+    except tokenize.NoMotionError as error:
+        logger.warning("no validation, split val: %s", error)
+        return None
     measure = functools.partial(steps.validate, config=compiled_config(config))
     return Validation(tokenize.make_code_bank(motions, reader.read), len(motions), measure)
 

@@ -47,6 +47,10 @@ KEPT_SPEED = 0.6
 """Share of its speed that a hand keeps from frame to frame when it comes to rest beyond the end of a clip."""
 
 
+class NoMotionError(UserError):
+    """No clip of a split can be used."""
+
+
 class CodedMotion(NamedTuple):
     """A motion as codes, from one or several starting frames, and the captions that describe all of it."""
 
@@ -178,7 +182,7 @@ def encode_clips(
         seed: Seed of the random choices.
 
     Raises:
-        UserError: No clip that is long enough and has a caption is left.
+        NoMotionError: No clip that is long enough and has a caption is left.
     """
     downsample = tokenizer.config.downsample
     # One code more than the shortest motion, so that every starting frame leaves at least one.
@@ -204,7 +208,10 @@ def encode_clips(
         parts = split_by_captions(variants, piece.captions, codes_per_second=info.fps / downsample)
         motions += [part._replace(clip=name) for part in parts]
     if not motions:
-        raise UserError(f"{info.name}: no motion with a caption to train on; see `t2m data check` for what is left out")
+        raise NoMotionError(
+            f"{info.name}: no motion with a caption has {info.min_frames} to {info.max_frames + 3} frames; see "
+            "`t2m data check`, or cut long clips with `--long_clips windows`"
+        )
     return motions
 
 

@@ -46,6 +46,46 @@ def test_many_forms_of_one_table_give_the_same_captions(tmp_path, text):
     assert said == {"a": [WALK], "b": [TURN]} and not problems
 
 
+@pytest.mark.parametrize("name", ["captions.tsv", "captions.txt"])
+def test_tables_with_tabs_may_have_other_names(tmp_path, name):
+    for header in ("file\tcaption\tstart\tend\n", ""):
+        said, problems, _ = read(tmp_path, f"{header}a\t{WALK}\t0.5\t1.0\nb\t{TURN}\t\t\n", name=name)
+        assert said == {"a": [WALK], "b": [TURN]} and not problems
+        table = load_caption_table(tmp_path / name, keys=("a", "b"))
+        assert find_entries(table, ("a",))[0].span == (0.5, 1.0)
+    said, problems, _ = read(tmp_path, f"a\t{WALK}\nb: {TURN}\n", name="captions.txt")
+    assert said == {"a": [WALK], "b": [TURN]} and not problems
+
+
+def test_times_may_be_written_in_camel_case(tmp_path):
+    path = tmp_path / "captions.csv"
+    path.write_text(f"fileName,caption,startTime,endTime\na,{WALK},0.5,1.0\n")
+    assert find_entries(load_caption_table(path, keys=("a",)), ("a",))[0].span == (0.5, 1.0)
+
+
+def test_a_spreadsheet_is_named(tmp_path):
+    (tmp_path / "captions.xlsx").write_bytes(b"PK\3\4")
+    with pytest.raises(UserError, match="is a file of a spreadsheet program; save it as CSV"):
+        load_caption_table(tmp_path / "captions.xlsx")
+
+
+def test_accents_may_be_written_in_two_ways(tmp_path):
+    """On a Mac, names of files have accents apart from their letters."""
+    source = write_clips(tmp_path / "source", ["Jo\u0308rg", "._a"])
+    (source / "captions.csv").write_text(f"file,caption\nJ\u00f6rg,{WALK}\n")
+    report = import_bvh_folder(source, tmp_path / "data")
+    assert report.left_out == {} and set(all_captions(tmp_path / "data")) == {"J\u00f6rg", "MJ\u00f6rg"}
+
+
+def test_columns_that_are_not_read_are_named(tmp_path):
+    source = write_clips(tmp_path / "source", ["a", "b"])
+    (source / "captions.csv").write_text(f"file,caption,in,out,person\na,{WALK},0,1,ann\nb,{TURN},1,2,bob\n")
+    report = import_bvh_folder(source, tmp_path / "data")
+    assert "columns that are not read: 'in', 'out', 'person'" in report.notes
+    report = import_bvh_folder(source, tmp_path / "other", split_by="person", split="50/0/50")
+    assert "columns that are not read: 'in', 'out'" in report.notes
+
+
 def test_columns_that_are_read_may_have_capitals(tmp_path):
     path = tmp_path / "captions.csv"
     path.write_text(f"File,Caption,Split,ACTION,Person,SHA256,Scene\na,{WALK},test,walk,ann,0123,hall\n")
@@ -161,7 +201,7 @@ def test_the_short_name_of_one_file_is_its_path_if_it_has_no_folder(tmp_path):
     assert not find_entries(table, ("sub/walk", "walk"))
 
 
-@pytest.mark.parametrize("column", ["start_frame", "Start (frames)", "from [ms]"])
+@pytest.mark.parametrize("column", ["start_frame", "Start (frames)", "from [ms]", "StartFrame"])
 def test_times_that_are_not_seconds_are_refused(tmp_path, column):
     with pytest.raises(UserError, match=r"captions\.csv:1: times are seconds, but the column '.*' has others"):
         read(tmp_path, f"file,caption,{column},end\na,{WALK},30,90\n")

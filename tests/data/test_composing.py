@@ -190,7 +190,7 @@ def test_what_follows_begins_as_the_other_ends(library):
 
 def test_short_clips_are_no_turns(library, monkeypatch):
     monkeypatch.setattr(turns, "SHORTEST", 400)
-    with pytest.raises(UserError, match="no training clips"):
+    with pytest.raises(UserError, match="turns: no two training clips"):
         draw_pieces(library, random.Random(0))
 
 

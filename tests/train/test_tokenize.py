@@ -172,7 +172,7 @@ def test_a_motion_too_short_for_every_offset_is_left_out(first_frames, vqvae):
 
 
 def test_no_motion_is_one_line(first_frames, vqvae):
-    with pytest.raises(UserError, match="no motion with a caption"):
+    with pytest.raises(UserError, match="no motion with a caption has"):
         coded(vqvae, CLIPS[-1:])
 
 

@@ -292,3 +292,33 @@ def test_a_run_records_what_it_was_trained_on_and_how_far(runs, tmp_path):
     train(config)
     train(dataclasses.replace(config, loop=dataclasses.replace(SHORT, num_steps=2)), resume=True)
     assert load_config(tmp_path / "run" / "config.yaml", TrainVqVaeConfig).loop.num_steps == 2
+
+
+@pytest.fixture
+def data_with_a_long_clip(runs, tmp_path):
+    """Data in which one clip of training is too long, and validation has no other."""
+    folder = Path(shutil.copytree(runs.data, tmp_path / "data"))
+    name = open_dataset(folder).names("train")[0]
+    path = folder / "new_joint_vecs" / f"{name}.npy"
+    np.save(path, np.tile(np.load(path), (8, 1))[:300])
+    (folder / "val.txt").write_text(f"{name}\n")
+    return folder, name
+
+
+@pytest.mark.slow
+def test_only_clips_that_are_learned_are_recorded_and_validated(runs, data_with_a_long_clip, tmp_path, caplog):
+    data, name = data_with_a_long_clip
+    config = gpt_training(data, runs.vqvae, tmp_path / "run")
+    setup = find_trainer("gpt").prepare(config, False)
+    assert name not in {clip.name for clip in setup.clips} and len(setup.clips) > 1
+    assert setup.validation is None
+    assert "no validation, split val: " in caplog.text and "`--long_clips windows`" in caplog.text
+
+
+@pytest.mark.slow
+def test_a_model_of_another_kind_is_named(runs, tmp_path):
+    config = dataclasses.replace(gpt_training(runs.data, runs.vqvae, tmp_path / "run"), init=Path("demo"))
+    with pytest.raises(
+        UserError, match=r"init: demo is a hifigpt with 6 codes per row, and the tokenizer has 1; start"
+    ):
+        train(config)

@@ -49,7 +49,7 @@ def draw_at_once(
         legs, arms = fitted
         if abs(arms.facts.turn) < MOST_TURN and arms.facts.travel < MOST_TRAVEL:
             return legs, arms, put_on_legs(arms.positions, legs.positions)
-    raise UserError(f"{library.folder}: no training clips have legs and arms that fit; compose without them")
+    raise UserError("at-once: no training clips have legs and arms that fit; leave it out")
 
 
 def _fit(legs: LabeledPiece, arms: LabeledPiece, generator: random.Random) -> tuple[LabeledPiece, LabeledPiece] | None:

@@ -35,7 +35,7 @@ def draw_lasting(library: Library, generator: random.Random) -> tuple[LabeledPie
         features = with_length(piece.features, round(seconds * HUMANML3D.fps) + 1)
         if features is not None:
             return piece._replace(features=features), seconds
-    raise UserError(f"{library.folder}: no training clips can be made longer or shorter; compose without them")
+    raise UserError("timed: no training clips can be made longer or shorter; leave it out")
 
 
 def with_length(features: Float[np.ndarray, "T D"], length: int) -> Float[np.ndarray, "U D"] | None:

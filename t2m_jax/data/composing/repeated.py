@@ -80,7 +80,7 @@ def draw_repeated(library: Library, generator: random.Random) -> tuple[LabeledPi
         # Who counts again must find the same number: joins may have taken or made one.
         if count_times(made.positions, content) == times:
             return made, times
-    raise UserError(f"{library.folder}: no training clips can be repeated; compose without them")
+    raise UserError("repeated: no training clips can be repeated; leave it out")
 
 
 def repeat(features: Float[np.ndarray, "T D"], content: str, times: int) -> Float[np.ndarray, "U D"] | None:

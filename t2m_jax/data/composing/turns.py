@@ -53,7 +53,7 @@ def draw_pieces(library: Library, generator: random.Random) -> list[LabeledPiece
             continue
         share = min(LONGEST_TRAVEL, room // max(sum(cut), 1))
         return [_shorten(piece, share, generator) if short else piece for piece, short in zip(pieces, cut, strict=True)]
-    raise UserError(f"{library.folder}: no training clips are short enough to be joined; compose without turns")
+    raise UserError(f"turns: no two training clips have {SHORTEST} to {LONGEST} frames together; leave it out")
 
 
 def _shorten(piece: LabeledPiece, longest: int, generator: random.Random) -> LabeledPiece:

@@ -21,7 +21,15 @@ from t2m_jax.data.importers.caption_files import (
     is_named,
     unused_entries,
 )
-from t2m_jax.data.importers.caption_table import CaptionEntry, CaptionTable, find_entries
+from t2m_jax.data.importers.caption_table import (
+    ACTION,
+    DIGEST,
+    PERSON,
+    SPLIT,
+    CaptionEntry,
+    CaptionTable,
+    find_entries,
+)
 from t2m_jax.data.importers.division import EIGHTY, Division
 from t2m_jax.data.importers.motion_files import find_motion_files, open_motion_file
 from t2m_jax.data.importers.table_parts import TablePart, check_digest, find_parts, has_parts
@@ -81,6 +89,13 @@ def _find_up(path: Path, clip: RigClip, table: Rig) -> Literal["y", "z"]:
     return up_of_smpl(clip) if suffix == ".npz" else clip_up(clip, table)
 
 
+def unread_columns(table: CaptionTable, split_by: str | None) -> list[str]:
+    """Returns a line about the columns of a table that nothing is read from, if there are any."""
+    read = {split_by, SPLIT, DIGEST} | ({ACTION, PERSON} if has_parts(table) else set())
+    unread = [repr(name) for name in table.columns if name not in read]
+    return [f"columns that are not read: {', '.join(unread)}"] if unread else []
+
+
 def _load_info(source: Path, info: str | Path | None) -> DatasetInfo:
     """Returns what is known of the data: from a file, or the folder's name."""
     if info is None:
@@ -96,7 +111,7 @@ class BvhOptions:
     """How a folder of motion files is imported."""
 
     captions: str | Path | None = None
-    """Table of files and captions (see `caption_table`); by default `captions.csv` or `captions.txt` in the folder. An
+    """Table of files and captions (see `caption_table`); by default `captions.csv`, `.tsv` or `.txt` in the folder. An
     animation of a GLB file is called `file/animation`. A `.txt` next to a file of one motion is read, too, unless the
     table is `frozen` or has a column `action`: then each of its rows is a clip (see `table_parts`)."""
     rig: str | None = None
@@ -216,6 +231,15 @@ class _Converter:
         self.motions[name] = motion
         return name
 
+    def check_names(self, files: Sequence[Path]) -> None:
+        """Raises `UserError` if two files of one motion each would become clips of one name."""
+        names: dict[str, Path] = {}
+        for path in () if has_parts(self.table) else files:
+            if path.suffix.lower() != ".glb":  # animations are only known when their file is read
+                name = clip_name(Source(path, None).key(self.source))
+                if names.setdefault(name, path) != path:
+                    raise UserError(f"{path}: would be named {name} like {names[name]}; rename one of them")
+
     def check(self) -> None:
         """Raises `UserError` if there is no clip, or if a rig has left and right exchanged."""
         if len(self.left_out) == len(self.motions):
@@ -278,6 +302,7 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
         if not files:
             raise UserError(f"{source}: has no file of the table {given.captions}")
     convert = _Converter(source, table, division, given)
+    convert.check_names(files)
     with new_folder(destination) as folder:
         for path in tqdm.tqdm(files, unit="file", desc="converting"):
             convert.file(path, folder)
@@ -289,5 +314,5 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
         if convert.entries:
             save_index(folder, convert.entries)
-    notes = (*table.notes, *convert.notes(), *unused)
+    notes = (*table.notes, *unread_columns(table, given.split_by), *convert.notes(), *unused)
     return ImportReport(sum(sizes.values()), convert.num_frames, sizes, convert.left_out, notes)

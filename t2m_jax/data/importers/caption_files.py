@@ -1,6 +1,7 @@
 """Captions of a folder of motion files: from a table, from text files next to them, or from their names."""
 
 import re
+import unicodedata
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from t2m_jax.data.texts import Caption, parse_caption
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text
 
-CAPTION_FILES = ("captions.csv", "captions.txt")
+CAPTION_FILES = ("captions.csv", "captions.tsv", "captions.txt")
 LONGEST_NAME = MAX_NAME - 20
 """Bytes of a clip's name: mirrored twins, and what is composed of clips, have longer ones."""
 
@@ -29,11 +30,11 @@ class Source(NamedTuple):
     def key(self, folder: Path) -> str:
         """Returns what a table of captions calls it: its path below `folder`, then its animation."""
         place = self.path.relative_to(folder).with_suffix("").as_posix()
-        return place if self.animation is None else f"{place}/{self.animation}"
+        return unicodedata.normalize("NFC", place if self.animation is None else f"{place}/{self.animation}")
 
     def keys(self, folder: Path) -> tuple[str, ...]:
         """Returns all that a table may call it: also without the folder, an animation also without its file."""
-        stem = self.path.stem
+        stem = unicodedata.normalize("NFC", self.path.stem)
         short = (stem,) if self.animation is None else (f"{stem}/{self.animation}", self.animation)
         return (self.key(folder), *short)
 
@@ -54,7 +55,7 @@ def clip_name(key: str) -> str:
 
 
 def find_table(source: Path, captions: Path | None, *, files: Collection[Path]) -> CaptionTable:
-    """Returns the table of captions: the given one, or `captions.csv` or `captions.txt` in the folder, or an empty one.
+    """Returns the table of captions: the given one, or one of `CAPTION_FILES` in the folder, or an empty one.
 
     Raises:
         UserError: The given file is missing, is not UTF-8, or is no table of files and captions.

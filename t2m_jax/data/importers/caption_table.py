@@ -5,6 +5,7 @@ Each line of a file is one row. A row that cannot be used costs no other row: it
 
 import csv
 import re
+import unicodedata
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,8 @@ from t2m_jax.files.reading import load_text
 
 MAX_COLUMNS = 1000
 """Most columns of a table; a spreadsheet of captions has some tens."""
+SPREADSHEETS = (".xlsx", ".xls", ".ods", ".numbers")
+TABLES = (".csv", ".tsv")
 DELIMITERS = (",", ";", "\t", "|")
 NAMES = {
     "caption": ("caption", "captions", "text", "description", "sentence", "annotation", "prompt", "label"),
@@ -38,7 +41,8 @@ LENGTHS = frozenset({"duration", "length", "dur", "len"})
 """Words in the name of a column that says how long a caption holds."""
 NOT_SECONDS = frozenset({"frame", "frames", "ms", "msec", "milliseconds"})
 """Words in the name of a column of times that are not seconds."""
-MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)$", re.IGNORECASE)
+_CAMEL_CASE = re.compile(r"(?<=[a-z])(?=[A-Z])")
+MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)(?=$|/)", re.IGNORECASE)
 
 
 class CaptionEntry(NamedTuple):
@@ -70,10 +74,10 @@ class CaptionTable(NamedTuple):
 
 
 def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTable:
-    """Returns the rows of a `.csv` file, or of lines `file: caption` (or with a tab in place of the colon).
+    """Returns the rows of a table, or of lines `file: caption` (or with a tab in place of the colon).
 
     Args:
-        path: A file in UTF-8.
+        path: A file in UTF-8; `.csv`, `.tsv`, and other files with a header or three columns between tabs are tables.
         keys: What tables call the motion files of the folder. A first row that begins with one of them is no header.
 
     Raises:
@@ -81,11 +85,13 @@ def load_caption_table(path: Path, *, keys: Collection[str] = ()) -> CaptionTabl
     """
     if not path.is_file():
         raise UserError(f"{path}: no such file; give a .csv with file,caption or a .txt with 'file: caption' lines")
+    if path.suffix.lower() in SPREADSHEETS:
+        raise UserError(f"{path}: is a file of a spreadsheet program; save it as CSV in UTF-8")
     lines = load_text(path).split("\n")
     numbered = [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
     columns: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() in TABLES or (numbered and _has_tabs(path, numbered[0][1])):
         layout = _find_layout(path, numbered[0][1] if numbered else "", keys)
         # A quote that a later line closes: a cell of two lines. Without such a line, it only looks like one.
         odd = [number for number, line in numbered if line.count('"') % 2]
@@ -159,12 +165,19 @@ def _last_part(key: str) -> str:
 
 def _motion_key(cell: str) -> str:
     """Returns what a cell calls a motion: without a suffix, quotes or `./`, with forward slashes."""
-    return MOTION_SUFFIXES.sub("", cell.strip().strip("\"'").replace("\\", "/").removeprefix("./"))
+    path = unicodedata.normalize("NFC", cell.strip().strip("\"'"))  # macOS writes accents apart from their letters
+    return MOTION_SUFFIXES.sub("", path.replace("\\", "/").removeprefix("./"))
 
 
 def _split_line(line: str, delimiter: str) -> list[str]:
     # Each line alone, so that a quote that is never closed does not take the rest of the table.
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+
+
+def _has_tabs(path: Path, line: str) -> bool:
+    """Returns whether the first line of a text file is that of a table, as spreadsheets save it."""
+    cells = line.split("\t")
+    return len(cells) > 2 or _read_header(path, cells, "\t") is not None
 
 
 def _find_layout(path: Path, header: str, keys: Collection[str]) -> _Layout:
@@ -189,7 +202,7 @@ def _find_layout(path: Path, header: str, keys: Collection[str]) -> _Layout:
 
 def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | None:
     """Returns the layout that a header describes, None if it does not name files and captions."""
-    names = [re.sub(r"[\W_]+", "_", cell.strip().lower()).strip("_") for cell in cells]
+    names = [re.sub(r"[\W_]+", "_", _CAMEL_CASE.sub("_", cell.strip()).lower()).strip("_") for cell in cells]
     found = _find_columns(names)
     # Several captions may be in several columns: caption_1, caption_2, or in two of the best name.
     stems = [name.rstrip("0123456789").rstrip("_") for name in names]

@@ -23,7 +23,9 @@ def find_motion_files(source: Path) -> list[Path]:
     Raises:
         UserError: There are none.
     """
-    files = sorted(path for path in source.rglob("*") if path.suffix.lower() in SUFFIXES and not _is_other_npz(path))
+    found = (path for path in source.rglob("*") if path.suffix.lower() in SUFFIXES)
+    # What macOS puts beside files in archives.
+    files = sorted(path for path in found if not (path.name.startswith("._") or _is_other_npz(path)))
     if not files:
         raise UserError(f"{source}: is no folder with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} files at any depth")
     return files
