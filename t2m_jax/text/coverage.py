@@ -165,7 +165,8 @@ def check_coverage(
         countable: Basic forms of the verbs whose number is followed.
     """
     words = words_of(prompt) if knowledge.words else []
-    unknown = [word for word in _unknown_words(words, knowledge) if word.text not in quantity_words(prompt, countable)]
+    followed = quantity_words(prompt, countable)
+    unknown = [word for word in _unknown_words(words, knowledge) if word.text not in followed]
     amounts = dict(_unread_amounts(prompt, unknown, knowledge))
     in_amounts = frozenset(word.text for amount in amounts for word in words_of(amount))
     problems = [

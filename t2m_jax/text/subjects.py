@@ -74,11 +74,12 @@ def _thing(words: Sequence[Word]) -> str:
     before = _subject(words)
     subject = [word for word in before if word.text not in AUXILIARIES]
     is_other = any(_is_person(word) or word.text in _NO_SUBJECT | SUBJECTS for word in subject)
-    action, after = words[len(before) :][:1], words[len(before) + 1 :]
+    rest = [word.text for word in words[len(before) :]]
+    if not subject or not rest or is_other or THINGS.isdisjoint(subject[-1].bases):
+        return ""
     # "Window cleaning" and "the ball is thrown by a man".
-    is_done = not action or (action[0].text.endswith("ing") and subject == before) or "by" in (w.text for w in after)
-    is_thing = bool(subject) and not THINGS.isdisjoint(subject[-1].bases)
-    return subject[-1].text if is_thing and not (is_other or is_done) else ""
+    is_done = "by" in rest or (rest[0].endswith("ing") and subject == before)
+    return "" if is_done else subject[-1].text
 
 
 def _subject(words: Sequence[Word]) -> list[Word]:
