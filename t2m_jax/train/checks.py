@@ -183,19 +183,23 @@ def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
     return normalizer
 
 
-def data_record(dataset: Dataset) -> str:
-    """Returns what a run keeps of its data set: the fingerprint of each part."""
-    return "; ".join(f"{name} {digest}" for name, digest in dataset.fingerprints.items())
+def data_record(dataset: Dataset, draws: str) -> str:
+    """Returns what a run keeps of its data: the fingerprint of each part, and `draws` (see `Setup`)."""
+    return "; ".join(f"{name} {digest}" for name, digest in _data_parts(dataset, draws).items())
 
 
-def check_same_data(config: ExperimentConfig, dataset: Dataset) -> None:
-    """Raises `UserError` if a run was started with other clips, captions, splits or statistics."""
+def _data_parts(dataset: Dataset, draws: str) -> dict[str, str]:
+    return dataset.fingerprints | ({"labels that decide draws": draws} if draws else {})
+
+
+def check_same_data(config: ExperimentConfig, dataset: Dataset, draws: str) -> None:
+    """Raises `UserError` if a run was started with other clips, captions, splits, statistics or draws."""
     known = run_info(config.run).data
-    if known is None or known in (dataset.fingerprint, data_record(dataset)):
+    if known is None or known in (dataset.fingerprint, data_record(dataset, ""), data_record(dataset, draws)):
         return
     # Only what changed is named: captions that were corrected are another matter than other clips.
     parts = dict(part.rpartition(" ")[::2] for part in known.split("; "))
-    changed = [name for name, digest in dataset.fingerprints.items() if parts.get(name) != digest]
+    changed = [name for name, digest in _data_parts(dataset, draws).items() if parts.get(name) != digest]
     raise UserError(
         f"data: {dataset.folder} is not what {config.run} was started with (changed: {', '.join(changed)}); resume "
         f"with the old data, or start a new run with `--init {config.run}`"

@@ -85,6 +85,8 @@ class Setup:
     """The training clips."""
     data: Any
     """The training split, from which updates cut their batches."""
+    draws: str = ""
+    """Fingerprint of how often each motion is drawn; empty if all are drawn equally often."""
     init: Callable[[], Any]
     """Returns the state before the first update, a `NamedTuple` with `step`."""
     update: Update
@@ -168,7 +170,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
             raise UserError(f"loop.num_steps: {config.loop.num_steps}, but {config.run} has made {done} updates")
         setup = trainer.prepare(config, resume)
         if resume:
-            checks.check_same_data(config, setup.dataset)
+            checks.check_same_data(config, setup.dataset, setup.draws)
         # All that can be refused is refused before anything is written, so that a mistake leaves no half a run.
         held_out = open_evaluation(setup)
         if config.sharding.devices != "auto":
@@ -199,7 +201,7 @@ def write_run(config: ExperimentConfig, setup: Setup, *, resume: bool) -> None:
     begin_run(config.run)
     setup.write_parts(config.run)
     save_training_data(config.run / DATA_FILE, summarize_training_data(setup.dataset, setup.clips))
-    create_run(config.run, config.kind, config, data=checks.data_record(setup.dataset))
+    create_run(config.run, config.kind, config, data=checks.data_record(setup.dataset, setup.draws))
 
 
 def open_evaluation(setup: Setup) -> EvaluationTask | None:

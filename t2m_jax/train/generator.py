@@ -20,6 +20,7 @@ from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import INDEX, is_single, label_actions, load_index
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, make_generation
+from t2m_jax.files.arrays import fingerprint
 from t2m_jax.models.caption_encoder import init_network, network_module
 from t2m_jax.models.rows import apply_rows
 from t2m_jax.sampling.pipeline import TextToMotion
@@ -165,7 +166,8 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     learned = {motion.clip for motion in motions}
     motions = tokenize.add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, opened, resume=resume)
-    bank = tokenize.make_code_bank(motions, reader.read, shares=draw_shares(config, dataset, motions))
+    shares = draw_shares(config, dataset, motions)
+    bank = tokenize.make_code_bank(motions, reader.read, shares=shares)
     compiled = compiled_config(config)
     parts = BundleConfig(
         skeleton=dataset.skeleton.name, tokenizer=tokenizer.config, generator=config.model, text_encoder=opened.config
@@ -181,6 +183,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         dataset=dataset,
         clips=[clip for clip in clips if clip.name in learned],
         data=bank,
+        draws="" if shares is None else fingerprint("", {"shares": shares}),
         init=lambda: steps.with_tokenizer(steps.init(compiled, stream_key(config.loop.seed, "init")), tokenizer),
         update=Update(steps.update, config=compiled),
         optimizer=config.optimizer,

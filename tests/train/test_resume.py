@@ -1,8 +1,10 @@
 """Going on with a run: as if it had never stopped, and only with the config it was started with."""
 
+import contextlib
 import csv
 import dataclasses
 import shutil
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -169,6 +171,21 @@ def test_data_that_changed_are_refused(stage, runs, tmp_path, change, named):
     with pytest.raises(UserError, match=rf"data: .* is not what .* was started with \(changed: {named}\)"):
         stage.train(resume=True)
     assert {path: path.read_bytes() for path in stage.config.run.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("balance", [0.0, 0.5])
+@pytest.mark.parametrize("stage", ["gpt"], indirect=True)
+def test_labels_may_change_unless_they_decide_draws(stage, runs, tmp_path, balance):
+    data = Path(shutil.copytree(runs.data, tmp_path / "data"))
+    stage.config = dataclasses.replace(stage.config, data=data, balance=balance)
+    stage.train(num_steps=2)
+    index = (data / "index.csv").read_text()
+    (data / "index.csv").write_text(index.replace("walk", "run", 2))
+    stays = contextlib.nullcontext()
+    refused = pytest.raises(UserError, match=r"\(changed: labels that decide draws\)")
+    with refused if balance else stays:
+        stage.train(num_steps=4, resume=True)
 
 
 @pytest.mark.slow
