@@ -133,6 +133,22 @@ COUNTED_ACTIONS: dict[str, Repetition] = {
 """By basic forms of verbs. The limits count five times for most people of Berkeley MHAD who do something five times."""
 
 
+SIDED_ACTIONS: dict[str, Callable[[Positions, str], Signal]] = {
+    "kick": lambda positions, side: _height(positions, f"{side}_ankle"),
+    "pitch": _reach,
+    "throw": _reach,
+    "toss": _reach,
+}
+"""What is larger for the leg or arm that does something, in meters, by basic forms of verbs."""
+
+
+def side_lead(action: str, side: str, positions: Positions) -> float:
+    """Returns by how many meters one side does an action more than the other; negative if it does it less."""
+    signal = SIDED_ACTIONS[action]
+    other = "left" if side == "right" else "right"
+    return float(signal(positions, side).max() - signal(positions, other).max())
+
+
 def find_peaks(values: Float[np.ndarray, " T"], *, least: float) -> list[int]:
     """Returns the frames of the peaks of a signal that stand out by `least`, and are not much smaller than others."""
     size = max(least, SHARE * float(np.ptp(values)))

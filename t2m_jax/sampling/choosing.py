@@ -1,4 +1,4 @@
-"""Of several samples, the one that does what its sentence says: how often ("kicks twice"), or how fast ("slowly")."""
+"""Of several samples, the one that does what its sentence says: how often ("kicks twice"), how fast, on which side."""
 
 import itertools
 import math
@@ -10,19 +10,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Key
 
-from t2m_jax.motion.repetitions import COUNTED_ACTIONS
+from t2m_jax.motion.repetitions import COUNTED_ACTIONS, side_lead
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling.decode import Codes, decode_motions
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.text.counts import Times
+from t2m_jax.text.counts import SaidSide, Times
 from t2m_jax.text.paces import SaidPace
 
+Wanted = Times | SaidPace | SaidSide
+"""What a sample is chosen by."""
 _CANDIDATE_STREAM = 2**30 + 2
 """In place of a sample's number, in keys for the candidates of a motion."""
 COUNT_CANDIDATES = 16
 """Samples to choose from by a count."""
-PACE_CANDIDATES = 4
-"""Samples to choose from by their pace."""
+FEW_CANDIDATES = 4
+"""Samples to choose from by their pace or side."""
+CLEAR_LEAD = 0.15
+"""Meters by which a leg or an arm does more than the other if it is the one that does it."""
 GAIT_SPEEDS = {"walk": (0.3, 2.0), "run": (1.2, math.inf)}
 """Slowest and fastest motion of a gait in m/s. People begin to run at about 2 m/s (Hreljac, 1993)."""
 SLOWEST_SHARE = 0.4
@@ -31,17 +35,19 @@ SHORTEST_SECONDS = 1.2
 """Shortest motion that is made by ending one."""
 
 
-def candidate_keys(key: Key[jax.Array, ""], wanted: Times | SaidPace) -> Key[jax.Array, " C"]:
+def candidate_keys(key: Key[jax.Array, ""], wanted: Wanted) -> Key[jax.Array, " C"]:
     """Returns the keys of the candidates for a motion. The first one is the motion without a choice."""
     stream = jax.random.fold_in(key, _CANDIDATE_STREAM)
-    count = COUNT_CANDIDATES if isinstance(wanted, Times) else PACE_CANDIDATES
+    count = COUNT_CANDIDATES if isinstance(wanted, Times) else FEW_CANDIDATES
     return jnp.stack([key, *(jax.random.fold_in(stream, number) for number in range(1, count))])
 
 
-def choose(model: ModelParts, candidates: Sequence[Codes], wanted: Times | SaidPace, *, most_rows: int) -> Codes:
-    """Returns the codes of the candidate that does what is wanted; see `choose_by_count` and `choose_by_pace`."""
+def choose(model: ModelParts, candidates: Sequence[Codes], wanted: Wanted, *, most_rows: int) -> Codes:
+    """Returns the codes of the candidate that does what is wanted; see `choose_by_count` and others."""
     if isinstance(wanted, Times):
         return choose_by_count(model, candidates, wanted, most_rows=most_rows)
+    if isinstance(wanted, SaidSide):
+        return choose_by_side(model, candidates, wanted)
     return choose_by_pace(model, candidates, wanted)
 
 
@@ -70,6 +76,13 @@ def choose_by_pace(model: ModelParts, candidates: Sequence[Codes], pace: SaidPac
     fitting = [number for number in moving if slowest <= speeds[number] <= fastest]
     best = (min if pace.is_slow else max)(fitting or moving, key=lambda number: motions[number])
     return candidates[best]
+
+
+def choose_by_side(model: ModelParts, candidates: Sequence[Codes], wanted: SaidSide) -> Codes:
+    """Returns the codes of the first motion in which the side that is asked for clearly does it, or the nearest."""
+    leads = [side_lead(wanted.action, wanted.side, positions) for positions in _decoded(model, candidates)]
+    clear = (number for number, lead in enumerate(leads) if lead >= CLEAR_LEAD)
+    return candidates[next(clear, int(np.argmax(leads)))]
 
 
 def mean_speed(positions: Float[np.ndarray, "T J 3"]) -> float:

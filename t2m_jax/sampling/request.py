@@ -13,12 +13,12 @@ from t2m_jax.errors import UserError
 from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import with_neighbors
-from t2m_jax.motion.repetitions import COUNTED_ACTIONS
+from t2m_jax.motion.repetitions import COUNTED_ACTIONS, SIDED_ACTIONS
 from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
-from t2m_jax.text.counts import Times, said_times
+from t2m_jax.text.counts import SaidSide, Times, said_side, said_times
 from t2m_jax.text.coverage import Knowledge
 from t2m_jax.text.paces import SaidPace, said_pace
 from t2m_jax.text.prompts import check_prompt
@@ -173,7 +173,7 @@ class MotionRequest:
     def is_plain(self) -> bool:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
         is_alone = len(self.captions) == 1 and self.start is None and not self.targets
-        return is_alone and self.lengths == self.times == self.paces == (None,)
+        return is_alone and self.lengths == self.times == self.paces == self.sides == (None,)
 
     @property
     def is_bound(self) -> bool:
@@ -205,6 +205,13 @@ class MotionRequest:
         if not self.reads_quantities:
             return (None,) * len(self.captions)
         return tuple(map(said_pace, self.captions))
+
+    @functools.cached_property
+    def sides(self) -> tuple[SaidSide | None, ...]:
+        """With which leg or arm each sentence says that something is done."""
+        if not self.reads_quantities:
+            return (None,) * len(self.captions)
+        return tuple(said_side(caption, SIDED_ACTIONS) for caption in self.captions)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -9,13 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Key
 
-from t2m_jax.sampling.choosing import candidate_keys, choose
+from t2m_jax.sampling.choosing import Wanted, candidate_keys, choose
 from t2m_jax.sampling.decode import Codes
 from t2m_jax.sampling.loop import Given, Sampling
 from t2m_jax.sampling.model import ModelParts
 from t2m_jax.sampling.prompts import Prompt
 from t2m_jax.text.counts import Times
-from t2m_jax.text.paces import SaidPace
 
 CONTEXT_SECONDS = 0.4
 """Motion before the continuation, which the generator reads as its beginning. With more, a sentence is followed less
@@ -36,13 +35,11 @@ class Segment(NamedTuple):
     """The codes that stand where `kept` is True."""
     kept: Bool[np.ndarray, "B N"] | None = None
     """For each motion; the others are sampled."""
-    wanted: Times | SaidPace | None = None
-    """How often something is done, or how fast. Of several samples, the one that does so is taken."""
+    wanted: Wanted | None = None
+    """How often something is done, how fast, or with which side. Of several samples, the one that does so is taken."""
 
 
-def split_segments(
-    prompt: Prompt, num_rows: int, *, limit: int, wanted: Times | SaidPace | None = None
-) -> list[Segment]:
+def split_segments(prompt: Prompt, num_rows: int, *, limit: int, wanted: Wanted | None = None) -> list[Segment]:
     """Returns the segments of a sentence. A motion that is longer than `limit` rows has several, which continue it.
 
     Only a motion of one segment can be chosen by how often something is done; the warning of a longer one says so.

@@ -77,12 +77,13 @@ def _read_chain(
     rows = [0 if seconds is None else rows_of_seconds(model, seconds) for seconds in request.lengths]
     start = None if request.start is None else _read_start(model, request.start)
     limit = most_rows(model)
-    # Only this skeleton can be counted.
-    times = request.times if model.skeleton == HUMANML3D else (None,) * len(prompts)
+    # Of this skeleton alone, it is known which joints do something.
+    nothing = (None,) * len(prompts)
+    times, sides = (request.times, request.sides) if model.skeleton == HUMANML3D else (nothing, nothing)
     segments = (
-        # A count is more than a pace: "slowly jumps three times".
-        split_segments(prompt, own, limit=limit, wanted=count or pace)
-        for prompt, own, count, pace in zip(prompts, rows, times, request.paces, strict=True)
+        # A count is more than a side, and this more than a pace: "slowly kicks three times with the left leg".
+        split_segments(prompt, own, limit=limit, wanted=count or side or pace)
+        for prompt, own, count, side, pace in zip(prompts, rows, times, sides, request.paces, strict=True)
     )
     return list(itertools.chain.from_iterable(segments)), start
 

@@ -63,6 +63,11 @@ _DOING = PERFORMING_VERBS | LIGHT_VERBS | word_set("add attempt complete deliver
 """Verbs whose object is done, not hit: "throws a punch"."""
 _BACK = word_set("drop lower release relax return")
 """Verbs of the second half of an action: "raises the arm and lowers it twice"."""
+_WITH_SIDE = pattern(
+    r"\b(left|right)[ -](?:arm|foot|footed|hand|handed|leg|legged)\b|\b(left|right) (?:\w+ )?(?:kick|throw)\b|",
+    r"\bwith (?:his|her|its|the|their|your) (left|right)(?= one\b|$|[.,;!])",
+)
+"""What names the side of an action: "kicks with the right leg", "a left-footed kick", but not "kicks to the left"."""
 _STAIRS = word_set("ascend climb descend fall")
 """Verbs before a number of steps that are there."""
 _TO_THE = word_set("his her its the their")
@@ -77,6 +82,15 @@ class Times(NamedTuple):
     sides: frozenset[str]
     """`left`, `right`, or both."""
     number: int
+
+
+class SaidSide(NamedTuple):
+    """With which leg or arm something is done."""
+
+    action: str
+    """Basic form of its verb, such as `kick`."""
+    side: str
+    """`left` or `right`."""
 
 
 class _Said(NamedTuple):
@@ -99,6 +113,21 @@ def said_times(caption: str, countable: Collection[str]) -> Times | None:
         countable: Basic forms of the verbs that can be counted.
     """
     return _times(caption, _find_counts(caption, countable))
+
+
+def said_side(caption: str, sided: Collection[str]) -> SaidSide | None:
+    """Returns with which side a sentence says that an action is done; None if it does not say so.
+
+    Args:
+        caption: A checked sentence.
+        sided: Basic forms of the verbs that are done with one leg or arm.
+    """
+    own = without_others(caption)
+    sides = {next(filter(None, found.groups())).lower() for found in _WITH_SIDE.finditer(own)}
+    words = words_of(own)
+    done = [word.bases for place, word in enumerate(words) if not is_negated(words[:place])]
+    actions = set(sided) & frozenset().union(*done)
+    return SaidSide(actions.pop(), sides.pop()) if len(sides) == len(actions) == 1 else None
 
 
 def uncounted(caption: str, countable: Collection[str]) -> Iterator[tuple[str, str]]:

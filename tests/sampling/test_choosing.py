@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from t2m_jax.motion.skeleton import KIT_ML
+from t2m_jax.motion.skeleton import JOINT, KIT_ML
 from t2m_jax.sampling.choosing import (
-    PACE_CANDIDATES,
+    FEW_CANDIDATES,
+    SLOWEST_SHARE,
     candidate_keys,
+    choose,
     choose_by_count,
     choose_by_pace,
     count_shown,
@@ -17,7 +19,7 @@ from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.prompts import Prompt, sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import split_segments
-from t2m_jax.text.counts import Times
+from t2m_jax.text.counts import SaidSide, Times
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.paces import SaidPace
 from tests import tiny
@@ -107,13 +109,14 @@ def test_motion_of_other_skeletons_is_not_counted(model, monkeypatch):
     np.testing.assert_array_equal(motion.codes, plain.codes)
 
 
-@pytest.mark.parametrize(("words", "best"), [("slowly", np.argmin), ("fast", np.argmax)])
+@pytest.mark.parametrize(("words", "best"), [("slowly", min), ("fast", max)])
 def test_the_slowest_or_fastest_motion_is_taken(model, words, best):
     caption = f"a person waves {words}"
     candidates = candidates_of(model, caption, SaidPace(words == "slowly", ""))
     speeds = [mean_speed(model.decode(codes, raw=True).positions) for codes in candidates]
-    assert len(speeds) == PACE_CANDIDATES and len(set(speeds)) > 1
-    chosen = candidates[best(speeds)]
+    assert len(speeds) == FEW_CANDIDATES and len(set(speeds)) > 1
+    moving = [number for number, speed in enumerate(speeds) if speed >= SLOWEST_SHARE * np.median(speeds)]
+    chosen = candidates[best(moving, key=speeds.__getitem__)]
     (motion,) = model.generate(caption, seed=3)
     np.testing.assert_array_equal(motion.codes, chosen)
     pieces = list(model.stream(caption, seed=3))
@@ -149,6 +152,33 @@ def test_a_fast_walk_is_not_a_run(chosen):
     assert [chosen(speeds, is_slow=False, gait=gait) for gait in ("walk", "run", "")] == [2, 1, 1]
     assert [chosen(speeds, is_slow=True, gait=gait) for gait in ("walk", "run", "")] == [0, 2, 0]
     assert chosen((4.0, 3.0), is_slow=False, gait="walk") == 0, "all run"
+
+
+def test_the_side_that_is_asked_for_does_it(model, monkeypatch):
+    def kick(left, right):
+        positions = np.zeros((20, 22, 3))
+        positions[10, JOINT["left_ankle"], 1] = left
+        positions[10, JOINT["right_ankle"], 1] = right
+        return positions
+
+    def chosen(*shown, side):
+        monkeypatch.setattr("t2m_jax.sampling.choosing._decoded", lambda model, candidates: shown)
+        candidates = [np.full((1, 1), number) for number in range(len(shown))]
+        return int(choose(model.parts, candidates, SaidSide("kick", side), most_rows=0)[0, 0])
+
+    shown = [kick(0.1, 0.1), kick(1.0, 0.1), kick(0.1, 0.5), kick(0.1, 1.0)]
+    assert chosen(*shown, side="left") == 1 and chosen(*shown, side="right") == 2
+    assert chosen(*shown[:2], side="right") == 0, "none does; the nearest"
+
+
+def test_a_kick_with_a_side_is_one_of_few_samples(model):
+    caption, side = "a person kicks with the left leg", SaidSide("kick", "left")
+    candidates = candidates_of(model, caption, side)
+    assert len(candidates) == FEW_CANDIDATES
+    (motion,) = model.generate(caption, seed=3)
+    np.testing.assert_array_equal(motion.codes, choose(model.parts, candidates, side, most_rows=0))
+    (whole,) = model.generate(caption, seed=3, whole=True)
+    np.testing.assert_array_equal(whole.codes, candidates[0])
 
 
 def test_who_hardly_moves_is_not_slow(chosen):

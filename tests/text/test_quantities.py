@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from t2m_jax.motion.repetitions import COUNTED_ACTIONS
-from t2m_jax.text.counts import said_times, uncounted
+from t2m_jax.motion.repetitions import COUNTED_ACTIONS, SIDED_ACTIONS
+from t2m_jax.text.counts import said_side, said_times, uncounted
 from t2m_jax.text.prompts import MAX_PROMPT_LENGTH
 from t2m_jax.text.quantities import quantity_words, said_seconds, unread_amounts
 
@@ -156,6 +156,27 @@ def test_amounts_that_nothing_follows(caption, amounts):
 )
 def test_times_that_are_not_counted(caption, found):
     assert [times for times, _ in uncounted(caption, COUNTED_ACTIONS)] == found
+
+
+@pytest.mark.parametrize(
+    ("caption", "said"),
+    [
+        ("a person kicks with the right leg", ("kick", "right")),
+        ("a Left-footed kick", ("kick", "left")),
+        ("kicks high with his left, then rests", ("kick", "left")),
+        ("throws the ball with her left hand", ("throw", "left")),
+        ("a right high kick", ("kick", "right")),
+        ("kicks to the left", None),
+        ("kicks with the left leg, then with the right leg", None),
+        ("kicks", None),
+        ("waves with the left hand", None),
+        ("does not kick with the left leg", None),
+        ("throws or kicks with the left foot", None),
+        ("steps left and kicks", None),
+    ],
+)
+def test_the_side_of_an_action(caption, said):
+    assert said_side(caption, SIDED_ACTIONS) == said
 
 
 def test_words_of_quantities():
