@@ -163,7 +163,6 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     clips = training_clips(config, dataset, "train", fraction=config.data_fraction)
     opened = open_text_encoder(config, resume=resume)  # first, because encoding the clips takes long
     motions = code_motions(config, clips, dataset, tokenizer)
-    learned = {motion.clip for motion in motions}
     motions = tokenize.add_rewordings(motions, count=config.rewordings, seed=config.loop.seed)
     reader = make_caption_reader(config, motions, opened, resume=resume)
     shares = draw_shares(config, dataset, motions)
@@ -181,7 +180,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
 
     return Setup(
         dataset=dataset,
-        clips=[clip for clip in clips if clip.name in learned],
+        clips=learned_clips(clips, motions),
         data=bank,
         draws="" if shares is None else fingerprint("", {"shares": shares}),
         init=lambda: steps.with_tokenizer(steps.init(compiled, stream_key(config.loop.seed, "init")), tokenizer),
@@ -245,6 +244,12 @@ def code_motions(
     options = {name: getattr(config, name) for name in ("offsets", "timed_captions", "long_clips")}
     options["seed"] = config.loop.seed  # not of the evaluation: clips have the same offsets in all of a run
     return tokenize.encode_clips(clips, dataset.info, tokenizer, **options)
+
+
+def learned_clips(clips: Sequence[Clip], motions: Sequence[tokenize.CodedMotion]) -> list[Clip]:
+    """Returns the clips that motions are codes of; others are too long or too short."""
+    learned = {motion.clip for motion in motions}
+    return [clip for clip in clips if clip.name in learned]
 
 
 def draw_shares(
