@@ -27,9 +27,13 @@ from t2m_jax.motion.skeleton import HUMANML3D
 MAX_SECONDS = 3600.0
 """A longer animation is taken as an error in the file."""
 DENSE_FPS = 60.0
-"""Rate to sample keys at, for a filter that makes it lower: lines between keys bend at each key."""
+"""Rate to sample uneven keys at, for a filter that makes it lower: lines between keys bend at each key."""
 MAX_POSES = 20_000_000
-"""Joints times frames of all animations; an hour of 60 joints at 20 frames per second has 4 million."""
+"""Joints times frames of all animations; an hour of 60 joints at 60 frames per second has 13 million."""
+SAME_TIME = 1e-4
+"""Keys of several tracks are at one time if less is between them; seconds."""
+OFF_FRAME = 0.05
+"""Keys may be this far from their frame; parts of a frame. Some programs write times with three decimals."""
 
 
 class _Keyframes(NamedTuple):
@@ -49,7 +53,7 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigCli
     Args:
         path: The file.
         fps: Frames per second to sample the keys at. By default the rate that this package wrote into the file, and for
-            other files 20, after a filter.
+            other files that of their keys. If these are few or uneven, it is 20, after a filter.
 
     Raises:
         UserError: The file cannot be read, is damaged, or has no joints or no animation.
@@ -119,9 +123,7 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
             nodes = shared or find_nodes(glb.tree, animation)
             nodes = nodes._replace(scales=nodes.scales * unit)
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
-                rate = fps or _own_rate(glb.tree, animation)
-                clip = _sample(glb, nodes, animation, fps=rate or DENSE_FPS, room=room)
-            clip = in_human_size(clip if rate else clip.resampled(HUMANML3D.fps))
+                clip = in_human_size(_sample(glb, nodes, animation, fps=fps, room=room))
             room -= clip.num_frames * len(nodes.names)
             clips[title] = dataclasses.replace(clip, caption=captions[title])
     return clips
@@ -154,8 +156,21 @@ def _own_rate(tree: Mapping[str, Any], animation: Mapping[str, Any]) -> float | 
     return float(rate) if isinstance(rate, (int, float)) and 0 < rate <= MAX_FPS else None
 
 
-def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: float, room: int) -> RigClip:
-    """Returns one animation at `fps` frames per second, if it has at most `room` poses of joints."""
+def _key_rate(tracks: Sequence[Float[np.ndarray, " _"]]) -> float | None:
+    """Returns the frames per second of keys, None if they are uneven or too few to be the frames of a motion."""
+    # Programs leave out keys on a straight line in each track by itself, so most frames are in one or another.
+    for times in (np.sort(np.concatenate(tracks)), max(tracks, key=len)) if tracks else ():
+        keys = times[np.diff(times, prepend=-np.inf) > SAME_TIME]
+        rate = (len(keys) - 1) / max(keys[-1] - keys[0], SAME_TIME)
+        for fps in (round(rate), rate):
+            off = np.abs((keys - keys[0]) * fps - np.arange(len(keys)))
+            if HUMANML3D.fps <= fps <= MAX_FPS and off.max() < OFF_FRAME:
+                return float(fps)
+    return None
+
+
+def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: float | None, room: int) -> RigClip:
+    """Returns one animation at `fps` frames per second (see `load_gltf`), if it has at most `room` poses of joints."""
     tracks: dict[tuple[int, str], _Keyframes] = {}
     for channel in animation["channels"]:
         target = channel["target"]
@@ -166,8 +181,11 @@ def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: 
     seconds = max((float(track.times[-1]) for track in tracks.values()), default=0.0)
     if not 0 <= seconds <= MAX_SECONDS:
         raise UserError(f"an animation ends after {seconds:g} seconds; expected at most {MAX_SECONDS:g}")
-    # 1e-4 frames, because the time of the last key is a float32 that may be just below a whole frame.
-    times = np.arange(int(np.floor(seconds * fps + 1e-4)) + 1) / fps
+    own_rate = _own_rate(glb.tree, animation)
+    rate = fps or own_rate or _key_rate([track.times for track in tracks.values()])
+    dense = rate or DENSE_FPS
+    # The last key may be just below a whole frame.
+    times = np.arange(int(np.floor(seconds * dense + OFF_FRAME)) + 1) / dense
     if len(times) * len(nodes.names) > room:
         raise UserError(f"its animations have more than {MAX_POSES} poses of joints; split the file")
     translations = np.tile(nodes.translations, (len(times), 1, 1))
@@ -176,15 +194,16 @@ def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: 
         (rotations if kind == "rotation" else translations)[:, joint] = _interpolate(track, times, kind)
     if not (np.isfinite(translations).all() and np.isfinite(rotations).all()):
         raise ValueError("an animation has values that are not finite")
-    own = fps == _own_rate(glb.tree, animation)  # at another rate, sentences begin at other frames
+    own = rate == own_rate is not None  # at another rate, sentences begin at other frames
     said = [own_extra(glb.tree, animation, name) if own else () for name in ("part_starts", "part_captions")]
-    return dataclasses.replace(
+    clip = dataclasses.replace(
         rest_clip(nodes),
         rotations=matrix_from_quaternion(rotations.astype(np.float32)),
         translations=(translations * nodes.scales[:, None]).astype(np.float32),
-        fps=fps,
+        fps=dense,
         parts=checked_parts(*said, num_frames=len(times)),
     )
+    return clip if rate else clip.resampled(HUMANML3D.fps)
 
 
 def _read_track(glb: GlbChunks, sampler: Mapping[str, Any]) -> _Keyframes:
@@ -206,8 +225,9 @@ def _interpolate(track: _Keyframes, times: Float[np.ndarray, " T"], kind: str) -
     after = np.minimum(before + 1, len(keys) - 1)
     length = keys[after] - keys[before]
     share = np.clip(np.divide(times - keys[before], length, out=np.zeros_like(times), where=length > 0), 0, 1)
-    if track.interpolation == "STEP":
-        return track.values[before, 0]
+    if track.interpolation == "STEP":  # a frame at the time of a key may be just before it
+        held = np.searchsorted(keys, times + SAME_TIME, side="right") - 1
+        return track.values[np.maximum(held, 0), 0]
     if track.interpolation == "CUBICSPLINE":
         t = share[:, None]
         # A Hermite spline. Tangents are per second.

@@ -51,6 +51,43 @@ def test_places_between_keys(tmp_path):
         np.testing.assert_allclose(hand_of(writer, tmp_path, fps=2.0)[:, 1], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("frames", "rate", "fps"),
+    [
+        (np.arange(91), 60, 60),
+        (np.arange(1, 3000), 30000 / 1001, 29.97),
+        (np.round(np.arange(91) / 30, 3) * 30, 30, 30),
+        (np.arange(9), 12, 20),
+        (np.array([0, 1, 3, 4, 9]), 30, 20),
+    ],
+)
+def test_the_rate_is_that_of_even_keys(tmp_path, frames, rate, fps):
+    """Also if times have three decimals, or each track has other keys; few or uneven ones are no frames of a motion."""
+    writer, root, hand = arm()
+    times = frames / rate
+    places = np.stack([np.sin(40 * times), 0 * times, 0 * times], axis=1)
+    kept = [(np.arange(len(times)) % 3 != left_out) | (times == times[-1]) for left_out in (1, 2)]
+    writer.animation(
+        "move",
+        [
+            (node, "translation", times[own], places[own], "LINEAR", "f4")
+            for node, own in zip((root, hand), kept, strict=True)
+        ],
+    )
+    clip = load_gltf(writer.save(tmp_path / "arm.glb"))["move"]
+    assert clip.fps == pytest.approx(fps, rel=1e-5) and clip.num_frames == int(times[-1] * fps + 0.05) + 1
+    if clip.num_frames == len(frames):
+        np.testing.assert_allclose(clip.translations[::3, 1], places[::3], atol=0.02)
+
+
+def test_steps_are_at_their_frames(tmp_path):
+    """The time of a key is a float32, which may be just after its frame."""
+    writer, root, _ = arm()
+    times = np.arange(60) / 29.0
+    writer.animation("move", [(root, "translation", times, np.outer(np.arange(60), [0, 1, 0]), "STEP", "f4")])
+    np.testing.assert_array_equal(hand_of(writer, tmp_path)[:, 1], np.arange(60))
+
+
 def test_cubic_splines_keep_a_parabola(tmp_path):
     """A cubic with the right tangents is exact; their unit is per second, whatever the keys' distance."""
     times = np.array([0.0, 0.5, 2.0])
