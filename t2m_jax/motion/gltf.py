@@ -16,7 +16,7 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_bytes
 from t2m_jax.motion.glb_file import GlbChunks, free_name, own_extra, read_accessor, reading_glb, split_chunks
-from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_nodes, rest_clip
+from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_movers, find_nodes, moved_nodes, rest_clip
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import RigClip
@@ -95,7 +95,7 @@ def load_gltf_joints(path: Path | str) -> RigClip:
     data = load_bytes(path)
     with reading_glb(path):
         tree = split_chunks(data).tree
-        if not _titles(tree.get("animations", [])):
+        if not _titles(tree):
             return rest_clip(find_nodes(tree))
     (clip,) = _load(path, None, lambda captions: list(captions)[:1]).values()
     return clip
@@ -106,7 +106,7 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
     data = load_bytes(path)
     with reading_glb(path):
         glb = split_chunks(data)
-        animations = _titles(glb.tree.get("animations", []))
+        animations = _titles(glb.tree)
         if not animations:
             raise UserError("has no animation")
         # A length of 1 has another meaning only in files of this package.
@@ -129,11 +129,13 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
     return clips
 
 
-def _titles(animations: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """Returns animations by names, of which no two are equal. Those that move nothing are left out."""
+def _titles(tree: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Returns animations by names, of which no two are equal. Those that move no figure are left out."""
     found: dict[str, Mapping[str, Any]] = {}
-    for number, animation in enumerate(animations):
-        if not animation.get("channels"):
+    figures = find_movers(tree)
+    for number, animation in enumerate(tree.get("animations", [])):
+        # Without any figure, `find_nodes` says what the file lacks.
+        if not (figures & moved_nodes([animation]) if figures else animation.get("channels")):
             continue
         name = str(animation.get("name") or f"animation_{number}")
         found[free_name(name, found, "_", first=number)] = animation

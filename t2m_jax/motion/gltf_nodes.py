@@ -56,7 +56,7 @@ def find_nodes(tree: Mapping[str, Any], animation: Mapping[str, Any] | None = No
         UserError: There are none.
     """
     nodes = tree.get("nodes", [])
-    above = {child: number for number, node in enumerate(nodes) for child in node.get("children", [])}
+    above = _parents(nodes)
     bones = _human_bones(tree)
     skinned, notes = _skinned(tree, above, animation)
     wanted = set(bones) or skinned or _animated(tree.get("animations", []), nodes)
@@ -172,15 +172,27 @@ def _figures(skins: Sequence[Sequence[int]], above: Mapping[int, int], *, num_no
     return list(figures.values())
 
 
+def find_movers(tree: Mapping[str, Any]) -> set[int]:
+    """Returns the nodes that move a figure: the joints of all figures, and the nodes above them."""
+    nodes = tree.get("nodes", [])
+    joints = set(_human_bones(tree)).union(*(skin["joints"] for skin in tree.get("skins", [])))
+    return set(_parents_first(joints or moved_nodes(tree.get("animations", [])), _parents(nodes)))
+
+
+def moved_nodes(animations: Iterable[Mapping[str, Any]]) -> set[int]:
+    """Returns the nodes that animations turn or move."""
+    targets = [channel["target"] for animation in animations for channel in animation.get("channels", ())]
+    return {target["node"] for target in targets if target["path"] in ("translation", "rotation") and "node" in target}
+
+
+def _parents(nodes: Sequence[Mapping[str, Any]]) -> dict[int, int]:
+    return {child: number for number, node in enumerate(nodes) for child in node.get("children", [])}
+
+
 def _animated(animations: Sequence[Mapping[str, Any]], nodes: Sequence[Mapping[str, Any]]) -> set[int]:
     """Returns the nodes that animations turn or move, and those below them, which may be tips of limbs."""
     found: set[int] = set()
-    waiting = [
-        channel["target"]["node"]
-        for animation in animations
-        for channel in animation["channels"]
-        if channel["target"]["path"] in ("translation", "rotation") and "node" in channel["target"]
-    ]
+    waiting = list(moved_nodes(animations))
     while waiting:
         number = waiting.pop()
         if number not in found:
@@ -202,7 +214,7 @@ def _rest_pose(node: Mapping[str, Any]) -> tuple[Float[np.ndarray, " 3"], Float[
 
 def _world_matrix(tree: Mapping[str, Any], number: int) -> Matrix:
     """Returns where a node is in the world, with its scale."""
-    above = {child: parent for parent, node in enumerate(tree["nodes"]) for child in node.get("children", [])}
+    above = _parents(tree["nodes"])
     matrix = np.eye(4)
     line: list[int] = []
     while number not in line:

@@ -7,7 +7,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.formats import load_glb_file
 from t2m_jax.motion import gltf
 from t2m_jax.motion.character import load_character
-from t2m_jax.motion.gltf import load_gltf
+from t2m_jax.motion.gltf import load_gltf, load_gltf_animation
 from t2m_jax.motion.rig import retarget
 from t2m_jax.motion.rig.rigs import RIGS, find_table
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -320,6 +320,23 @@ def test_an_animation_that_moves_nothing_is_none(tmp_path):
     path = edited(path, lambda tree: tree["animations"][1].pop("channels"))
     with pytest.raises(UserError, match=r"has no animation$"):
         load_glb_file(path)
+
+
+@pytest.mark.parametrize("has_skin", [True, False])
+def test_animations_of_a_camera_are_not_of_the_figure(tmp_path, has_skin):
+    writer = GlbWriter()
+    person = add_person(writer)
+    camera = writer.joint("Camera", is_joint=False)
+    swing = [(camera, "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4")]
+    writer.animation("camera", swing)
+    writer.animation("turn", [(person["joint_Root"], "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4")])
+    if not has_skin:  # the nodes that have names of a person are its joints
+        writer.tree["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": {"hips": {"node": person["Hips"]}}}}}
+        del writer.tree["skins"]
+    path = writer.save(tmp_path / "scene.glb")
+    assert load_gltf_animation(path).caption == "turn" and list(load_gltf(path)) == ["turn"]
+    with pytest.raises(UserError, match="no animation 'camera'; choose one of turn"):
+        load_gltf_animation(path, "camera")
 
 
 def test_a_rig_without_an_animation_is_said(shared_data):
