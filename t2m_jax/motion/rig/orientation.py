@@ -17,6 +17,13 @@ BENT = 0.4
 """The same for a figure whose rest pose stands along this axis, and which may bend."""
 LYING_RISE = 0.5
 """The hips of a figure that lies in all frames rise and fall less than this; meters."""
+STEPS_TRAVEL = 1.0
+"""The hips get farther than this only by steps, since the feet stay below them; meters."""
+STILL_FOOT = 0.4
+"""Whoever walks has a foot at rest: one of its joints moves less than this part of the way of the hips (0.2 in median
+of 103 recordings, and rarely over 0.6; in those of people who crawl, 0.3 to 1.1)."""
+LEVEL_FEET = 0.15
+"""The lower foot of a walk rises and falls less than this in most frames; meters."""
 POP_SPEED = 3.0
 """A frame is a rest pose before the motion if the joints then move faster than this; meters per second."""
 POP_RATIO = 5.0
@@ -59,11 +66,23 @@ def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 
         return "y"
     if rests_z and stands_z > 0:
         return "z"
+    if stands_z > UPRIGHT and rises > LYING_RISE and _walks_along_z(positions):
+        return "z"
     # Somebody who crouches in a single pose still has the feet below the neck.
     _, along_y, along_z = upward.mean(axis=0)
     if rests_z and along_z > max(abs(along_y), BENT):
         return "z"
     return None if rests_z or stands_z > 0 else "y"
+
+
+def _walks_along_z(positions: Float[np.ndarray, "T 22 3"]) -> bool:
+    """Returns whether a figure goes on level feet, one of which is at rest, if Z is up."""
+    feet = positions[:, [JOINT[f"{side}_{name}"] for side in ("left", "right") for name in ("ankle", "foot")]]
+    hips = positions[:, JOINT["pelvis"], :2]
+    steps = np.linalg.norm(np.diff(feet, axis=0), axis=-1).min(axis=1).sum()
+    level = np.ptp(np.quantile(feet[..., 2].min(axis=1), (FLOOR_QUANTILE, 1 - FLOOR_QUANTILE)))
+    is_at_rest = steps < STILL_FOOT * np.linalg.norm(np.diff(hips, axis=0), axis=-1).sum()
+    return bool(is_at_rest and level < LEVEL_FEET and np.linalg.norm(np.ptp(hips, axis=0)) > STEPS_TRAVEL)
 
 
 def to_y_up(positions: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 22 3"]:

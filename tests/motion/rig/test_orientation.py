@@ -92,6 +92,34 @@ def test_what_cannot_be_told_is_refused():
     assert find_up((along_z @ bent.T).astype(np.float32), along_z[0]) == "z"
 
 
+def stepping_positions(num_frames=60):
+    """A figure that goes by steps: in each half second, one foot rests and the other one overtakes it."""
+    positions = np.repeat(walking_positions(1), num_frames, axis=0)
+    time = np.arange(num_frames) / 20
+    positions[..., 2] += time[:, None]
+    for side, phase in (("left", 0.0), ("right", 0.5)):
+        for name in ("ankle", "foot"):
+            cycle, share = np.divmod(time + phase, 1.0)
+            place = cycle + np.clip(2 * share - 1, 0, 1) - phase
+            joint = HUMANML3D.joint_names.index(f"{side}_{name}")
+            positions[:, joint, 2] = positions[0, joint, 2] + place
+    return positions
+
+
+def test_somebody_who_walks_along_z_stands_whatever_the_rest_pose_is():
+    """As in files of 3ds Max and others, whose bones point along X without rotations."""
+    walk = stepping_positions()
+    along_z = walk[..., [0, 2, 1]] * np.array([1, -1, 1], np.float32)
+    sideways = walk[0][:, [1, 0, 2]]
+    assert find_up(along_z, sideways) == "z" and find_up(walk, sideways) == "y"
+    # Somebody who is lifted while lying, who crawls along the body, or whose feet are no longer below the hips.
+    lifted = np.repeat(along_z[:1], 60, axis=0) + np.linspace(0, 2, 60)[:, None, None] * np.array([0, 1, 0])
+    crawls = along_z * np.array([1, 0.1, 1]) + np.linspace(0, 2, 60)[:, None, None] * np.array([0, 0, 1])
+    for lying in (lifted, crawls, along_z[:15]):
+        assert find_up(lying.astype(np.float32), sideways) is None
+    assert find_up(along_z, walk[0]) is None, "a rest pose that stands along Y may be right"
+
+
 def test_an_import_says_what_it_turned_and_takes_the_users_word(tmp_path):
     source = tmp_path / "source"
     path = write_bvh(source / "a.bvh")
