@@ -189,6 +189,22 @@ def test_harmless_differences_of_spelling_are_accepted(tmp_path, change):
     assert clip.joint_names == expected.joint_names
 
 
+@pytest.mark.parametrize(
+    ("encoding", "names"),
+    [
+        ("utf-8", ("\u5de6\u8155", "\u53f3\u8155")),
+        ("cp932", ("\u5de6\u8155", "\u30bd\u3067")),  # the second byte of \u30bd is a backslash
+        ("gb18030", ("\u5de6\u81c2", "\u5de6\u624b")),
+        ("latin-1", ("H\xfcfte", "Fu\xdf")),
+        ("cp1251", ("\u0422\u0430\u0437", "\u041d\u043e\u0433")),
+    ],
+)
+def test_names_of_old_encodings_stay_different(tmp_path, encoding, names):
+    text = ARM_BVH.replace("Arm", names[0]).replace("Hand", names[1])
+    found = load_bvh(write(tmp_path, text.encode(encoding))).joint_names[1:]
+    assert len(set(found)) == 2 and (found == names or encoding == "cp1251")
+
+
 def test_joint_names_may_hold_spaces_and_namespaces(tmp_path):
     clip = load_bvh(write(tmp_path, ARM_BVH.replace("JOINT Arm", "JOINT mixamorig:Left Arm")))
     assert clip.joint_names[1] == "mixamorig:Left Arm"

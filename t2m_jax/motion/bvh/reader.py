@@ -1,5 +1,6 @@
 """Reading BVH files with any hierarchy, any channel order and both meanings of position channels."""
 
+import contextlib
 import re
 from pathlib import Path
 from typing import cast
@@ -55,7 +56,7 @@ def load_bvh(
     head = data[: word.start()] if word else data
     if len(head) > MAX_HIERARCHY_BYTES:
         raise UserError(f"{path}: its hierarchy has {len(head):,} bytes, more than {MAX_HIERARCHY_BYTES:,}")
-    lines = head.decode("utf-8", errors="replace").split("\n")
+    lines = _decode(head).split("\n")
     hierarchy = parse_hierarchy(lines, path)
     if not word:
         raise UserError(f"{path}:{len(lines)}: the file has no MOTION section")
@@ -89,6 +90,16 @@ def _read_bytes(path: Path) -> bytes:
         raise UserError(f"{path}:1: not a BVH file: it starts with {start!r} instead of HIERARCHY")
     # Old programs of the Mac end lines with a carriage return alone.
     return data if b"\n" in data else data.replace(b"\r", b"\n")
+
+
+def _decode(text: bytes) -> str:
+    """Returns text in UTF-8, or in what old programs write: Shift JIS, GBK or Latin 1, which has all bytes."""
+    # Common characters have such bytes in Shift JIS, and not in GBK. Latin 1 has single letters that are not ASCII.
+    asian = ("cp932", "gb18030") if re.search(rb"[\x80-\xa0]", text) else ("gb18030", "cp932")
+    for encoding in ("utf-8", *(asian if re.search(rb"[\x80-\xff]{2}", text) else ())):
+        with contextlib.suppress(UnicodeDecodeError):
+            return text.decode(encoding)
+    return text.decode("latin-1")
 
 
 def _columns(hierarchy: Hierarchy) -> list[dict[str, int]]:
