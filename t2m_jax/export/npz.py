@@ -15,7 +15,7 @@ from t2m_jax.export.amass import amass_arrays, motion_from_amass
 from t2m_jax.export.formats import only_motion
 from t2m_jax.files.reading import load_archive
 from t2m_jax.files.writing import atomic_file
-from t2m_jax.motion.amass import is_amass
+from t2m_jax.motion.amass import ROTATIONS, is_amass
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, skeleton_from_name
 
@@ -77,11 +77,13 @@ def load_npz(path: str | Path) -> Motion:
     """
     path = Path(path)
     archive = load_archive(path)
-    if is_amass(archive):
+    if is_amass(archive.keys()):
         return motion_from_amass(path, archive)
     for key in REQUIRED_KEYS:
         if key not in archive:
-            raise UserError(f"{path}: there is no entry {key!r}; a motion has at least {', '.join(REQUIRED_KEYS)}")
+            others = " or ".join(" and ".join(names) for names in ROTATIONS)
+            least = f"a motion has at least {', '.join(REQUIRED_KEYS)}; rotations of SMPL are {others}"
+            raise UserError(f"{path}: there is no entry {key!r}; {least}")
     for key, value in archive.items():
         if key not in ENTRIES:
             raise UserError(f"{path}: unknown entry {key!r}; a motion has {', '.join(ENTRIES)}")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from t2m_jax import Motion
+from t2m_jax.data.importers.motion_files import find_motion_files
 from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -117,6 +118,22 @@ def test_files_of_other_programs_are_read(tmp_path, file, caplog):
     np.testing.assert_allclose(expected, upright, atol=1e-4)
 
 
+@pytest.mark.parametrize("layout", ["parts", "rows", "aist"])
+def test_other_layouts_of_rotations_are_read(tmp_path, file, layout):
+    np.savez(tmp_path / "a.npz", **file)
+    expected = Motion.load(tmp_path / "a.npz").positions
+    poses, trans = file["poses"], file["trans"]
+    archive = {
+        "parts": {"root_orient": poses[:, :3], "pose_body": poses[:, 3:66], "trans": trans, "mocap_frame_rate": 20.0},
+        "rows": {"poses": poses[:, :72].reshape(-1, 24, 3), "trans": trans, "fps": 20},
+        "aist": {"smpl_poses": poses[:, :72], "smpl_trans": trans * 90, "smpl_scaling": np.full(1, 90.0), "fps": 20},
+    }[layout]
+    np.savez(tmp_path / "b.npz", **archive)
+    motion = Motion.load(tmp_path / "b.npz")
+    assert motion.fps == 20 and find_motion_files(tmp_path)[-1].name == "b.npz"
+    np.testing.assert_allclose(motion.positions, expected, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -127,6 +144,17 @@ def test_files_of_other_programs_are_read(tmp_path, file, caplog):
         ({"trans": np.array(["x"] * 30)}, "entry 'trans' has other values"),
         ({"mocap_framerate": np.array(0.0)}, "entry 'mocap_framerate' is not one number above zero"),
         ({"mocap_framerate": None, "mocap_frame_rate": None}, "there is no entry 'mocap_framerate'"),
+        ({"mocap_framerate": None, "mocap_frame_rate": None}, ".* or 'fps' with the frames per second"),
+        ({"trans": None}, "there is no entry 'trans' or 'smpl_trans' with the places of the pelvis"),
+        (
+            {"poses": None},
+            "there is no entry 'positions'; .* of SMPL are poses or root_orient and pose_body",
+        ),
+        ({"poses": np.zeros((30, 22, 3, 3))}, r"entry 'poses' has shape \[30, 22, 3, 3\]; it needs"),
+        (
+            {"poses": None, "root_orient": np.zeros((30, 3)), "pose_body": np.zeros((29, 63))},
+            r"entry 'root_orient' has shape \[30, 3\] and 'pose_body' has shape \[29, 63\]; it needs \[frames, 66",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, file, change, message):

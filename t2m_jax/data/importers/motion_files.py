@@ -6,7 +6,7 @@ from pathlib import Path
 
 from t2m_jax.data.importers.caption_files import Source
 from t2m_jax.errors import UserError
-from t2m_jax.motion.amass import load_amass
+from t2m_jax.motion.amass import is_amass, load_amass
 from t2m_jax.motion.amc import AMC_FPS, load_amc
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.formats import check_size
@@ -37,7 +37,7 @@ def _is_other_npz(path: Path) -> bool:
         return False
     try:
         with zipfile.ZipFile(path) as archive:
-            return "poses.npy" not in archive.namelist()
+            return not is_amass({name.removesuffix(".npy") for name in archive.namelist()})
     except (OSError, zipfile.BadZipFile):
         return False  # its reader says what is wrong
 
