@@ -18,7 +18,7 @@ from t2m_jax.motion.gltf import load_gltf_animation
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig import RigClip, retarget
 from t2m_jax.motion.rig.orientation import Up, on_floor, sides_note
-from t2m_jax.motion.rig.retarget import find_rig, resolve_rig
+from t2m_jax.motion.rig.retarget import find_rig, lying_note, resolve_rig
 from t2m_jax.motion.rig.rigs import JointNames, Rig
 from t2m_jax.motion.skeleton import SKELETONS
 
@@ -62,17 +62,16 @@ def load_amc_file(path: Path, *, rig: str | None = None, up: Up = "auto") -> Mot
     return motion_of_clip(path, load_amc(path), rig=rig, up=up)
 
 
-def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None = None) -> Motion:
+def load_glb_file(path: Path, *, animation: str | None = None, rig: str | None = None, up: Up = "y") -> Motion:
     """Returns an animation of a GLB, VRM or VRMA file by its name; see `load_gltf_animation`.
 
-    For `rig`, see `load_bvh_file`.
+    For `rig`, see `load_bvh_file`. glTF says that Y is up, but some programs write Z up all the same.
 
     Raises:
         UserError: The file is damaged or does not show a person, there are several animations, or none has this name.
     """
     clip = load_gltf_animation(path, animation)
-    # glTF says that Y is up.
-    return dataclasses.replace(motion_of_clip(path, clip, rig=rig, up="y"), caption=clip.caption)
+    return dataclasses.replace(motion_of_clip(path, clip, rig=rig, up=up), caption=clip.caption)
 
 
 def motion_of_clip(path: Path, clip: RigClip, *, rig: Rig | str | None, up: Up = "auto") -> Motion:
@@ -80,7 +79,8 @@ def motion_of_clip(path: Path, clip: RigClip, *, rig: Rig | str | None, up: Up =
     with naming(path):
         found = find_rig(clip, rig)
         motion = retarget(clip, rig=found, up=up)
-    for note in filter(None, (*clip.notes, found.note, sides_note(motion.positions))):
+    lies = lying_note(clip, found) if up == "y" else ""
+    for note in filter(None, (*clip.notes, found.note, lies, sides_note(motion.positions))):
         logger.info("%s: %s", path, note)
     return dataclasses.replace(motion, positions=on_floor(motion.positions))
 

@@ -54,7 +54,8 @@ def load_motion(
             several.
         rig: Name of a rig or a YAML table with joints of the file, such as `pelvis: Hips`, for files of skeletons; by
             default they are recognized.
-        up: The axis that points up in a file of a skeleton, `y` or `z`; by default found from the figure.
+        up: The axis that points up in a file of a skeleton, `y` or `z`; by default found from the figure, and in a
+            `.glb` file `y`.
 
     Raises:
         UserError: The suffix is unknown, the file does not contain a motion, is too long, or has several motions and

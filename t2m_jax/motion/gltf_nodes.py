@@ -99,11 +99,13 @@ def rest_clip(nodes: Nodes) -> RigClip:
     offsets = (nodes.translations * nodes.scales[:, None]).astype(np.float32)
     if not (np.isfinite(offsets).all() and np.isfinite(nodes.rotations).all()):
         raise ValueError("its nodes have values that are not finite")
+    rotations = matrix_from_quaternion(nodes.rotations.astype(np.float32))
     return RigClip(
         joint_names=nodes.names,
         parents=nodes.parents,
         offsets=offsets,
-        rotations=matrix_from_quaternion(nodes.rotations.astype(np.float32))[None],
+        rest_rotations=rotations,
+        rotations=rotations[None],
         translations=offsets[None],
         fps=1.0,
         metres_per_unit=1.0,

@@ -7,6 +7,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.formats import load_glb_file
 from t2m_jax.motion import gltf
 from t2m_jax.motion.character import load_character
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.gltf import load_gltf, load_gltf_animation
 from t2m_jax.motion.rig import retarget
 from t2m_jax.motion.rig.rigs import RIGS, find_table
@@ -342,6 +343,22 @@ def test_animations_of_a_camera_are_not_of_the_figure(tmp_path, has_skin):
 def test_a_rig_without_an_animation_is_said(shared_data):
     with pytest.raises(UserError, match=r"m2m_rig_human\.glb: has no animation$"):
         load_glb_file(shared_data("foreign-files") / "foreign-files/m2m_rig_human.glb")
+
+
+def test_z_up_is_said_and_can_be_chosen(tmp_path, caplog):
+    caplog.set_level("INFO")
+    z_up = {name: (parent, (x, -z, y)) for name, (parent, (x, y, z)) in BANDAI.items()}
+    expected = load_glb_file(write_person(tmp_path / "person.glb", BANDAI, {"bow": 0.0})).positions
+    path = write_person(tmp_path / "z.glb", z_up, {"bow": 0.0})
+    assert np.ptp(load_glb_file(path).positions[0, :, 1]) < 0.6 and "THE FIGURE LIES with Y up" in caplog.text
+    caplog.clear()
+    np.testing.assert_allclose(load_motion(path, up="z").positions, expected, atol=1e-5)
+    # Somebody who lies, with a rest pose that stands.
+    lying = GlbWriter()
+    root = add_person(lying)["joint_Root"]
+    back = [np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
+    lying.animation("lie", [(root, "rotation", [0, 1], [back, back], "LINEAR", "f4")])
+    assert np.ptp(load_glb_file(lying.save(tmp_path / "lie.glb")).positions[0, :, 1]) < 0.6 and not caplog.text
 
 
 def test_lengths_of_a_file_in_centimeters_are_meters(tmp_path, caplog):

@@ -39,7 +39,7 @@ from t2m_jax.errors import UserError, naming
 from t2m_jax.motion.amc import AMC_FPS
 from t2m_jax.motion.rig import RigClip
 from t2m_jax.motion.rig.orientation import Up, rest_frames, sides_note
-from t2m_jax.motion.rig.retarget import clip_up, find_rig, retarget
+from t2m_jax.motion.rig.retarget import clip_up, find_rig, lying_note, retarget
 from t2m_jax.motion.rig.rigs import Rig
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.smpl import up_of_smpl
@@ -65,8 +65,7 @@ def _prepare(motion: Source, clip: RigClip, *, rig: str | None, up: Up) -> _Prep
         steps.append(f"rig {table.name}: its table is from documentation, never tried on a real file; see the sheet")
     if up == "auto":
         up = _find_up(motion.path, clip, table)
-        if up == "z":
-            steps.append("Z was up; turned")
+        steps += ["Z was up; turned"] if up == "z" else filter(None, [lying_note(clip, table)])
     # Before the resampling, whose filter would smooth the jump that tells a rest pose.
     rest = rest_frames(retarget(clip, rig=table, up=up).positions, fps=clip.fps)
     if rest:

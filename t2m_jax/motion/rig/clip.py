@@ -41,6 +41,8 @@ class RigClip:
     """What this package wrote about it in a GLB file, or there the name of the animation without the armature's."""
     parts: Parts = ()
     """Where each sentence begins, in files of this package."""
+    rest_rotations: Float[np.ndarray, "J 3 3"] | None = None
+    """Rotations of the rest pose, which files other than GLB do not have."""
     is_person: bool = False
     """Whether the file itself says which of its joints are those of a person, as VRM files do."""
     notes: tuple[str, ...] = ()

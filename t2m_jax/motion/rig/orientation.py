@@ -75,6 +75,13 @@ def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 
     return None if rests_z or stands_z > 0 else "y"
 
 
+def stands_along_z_alone(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 3"]) -> bool:
+    """Returns whether a figure lies in all frames if Y is up, but stands if Z is, as in its rest pose."""
+    upward = _upward(positions)
+    stands_z = _upward(rest[None])[0, 2] > UPRIGHT and np.any(upward[:, 2] > UPRIGHT)
+    return bool(stands_z and np.all(upward[:, 1] < BENT))
+
+
 def _walks_along_z(positions: Float[np.ndarray, "T 22 3"]) -> bool:
     """Returns whether a figure goes on level feet, one of which is at rest, if Z is up."""
     feet = positions[:, [JOINT[f"{side}_{name}"] for side in ("left", "right") for name in ("ankle", "foot")]]

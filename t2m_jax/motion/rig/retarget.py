@@ -6,9 +6,10 @@ from typing import Literal
 import numpy as np
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.clip import RigClip
-from t2m_jax.motion.rig.orientation import Up, find_up, to_y_up
+from t2m_jax.motion.rig.orientation import Up, find_up, stands_along_z_alone, to_y_up
 from t2m_jax.motion.rig.placing import Joints, place_joints
 from t2m_jax.motion.rig.recognition import check_is_person, clip_bones, recognize
 from t2m_jax.motion.rig.rigs import DOLLS, RIGS, Rig, find_table, load_rig, make_rig, match_rig
@@ -66,6 +67,18 @@ def _find_up(clip: RigClip, positions: Joints, index: Mapping[str, int]) -> Lite
     if up is None:
         raise UserError("the figure may stand with Z up, or lie with Y up; say which with --up z or --up y")
     return up
+
+
+def lying_note(clip: RigClip, rig: Rig) -> str:
+    """Returns what to say of a GLB file whose figure lies because Z seems to be up; nothing otherwise."""
+    if clip.rest_rotations is None:
+        return ""
+    index = match_clip(clip, rig)
+    rest = forward_kinematics(clip.rest_rotations[None], clip.offsets[None], clip.parents).positions
+    positions, (pose,) = (place_joints(world, clip.parents, index) for world in (clip.positions, rest))
+    if not stands_along_z_alone(positions, pose):
+        return ""
+    return "THE FIGURE LIES with Y up, as glTF demands; its rest pose stands if Z is up, so choose this axis"
 
 
 def find_rig(clip: RigClip, rig: RigLike | None) -> Rig:
