@@ -16,7 +16,8 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_bytes
 from t2m_jax.files.writing import atomic_file
 from t2m_jax.motion.glb_file import GlbChunks, GlbWriter, Track, check_motions, reading_glb, split_chunks
-from t2m_jax.motion.gltf_nodes import Nodes, bind_pose, find_nodes, rest_clip, same_rotation, without_matrix
+from t2m_jax.motion.gltf_nodes import Nodes, bind_pose, find_nodes, rest_clip, same_rotation
+from t2m_jax.motion.gltf_transforms import is_uneven, without_matrix
 from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.clip import RigClip
@@ -37,8 +38,6 @@ ENDS = ("head", "left_wrist", "right_wrist", "left_foot", "right_foot")
 """Joints whose rotations are not known. Their bones keep their rest pose."""
 LEVEL = 0.5
 """A trunk is level if it is less than this along the vertical (cosine)."""
-UNEVEN = 0.01
-"""Share by which scales along x, y and z may differ."""
 _FLOOR = np.array([1.0, 0.0, 1.0])
 
 
@@ -219,8 +218,7 @@ def _check_rest(character: Character, *, is_given: bool) -> None:
             if not np.linalg.norm(joints[f"{side}_{upper}"] - joints[f"{side}_{lower}"]) > 0:
                 raise UserError(f"its {side} {upper} and {lower} are at the same place; --rig TABLE gives other bones")
     for place, number in character.numbers.items():
-        scale = np.broadcast_to(np.array(character.glb.tree["nodes"][number].get("scale", 1.0), float), 3)
-        if not (character.nodes.scales[place] > 0 and np.ptp(scale) <= UNEVEN * np.abs(scale).max()):
+        if not character.nodes.scales[place] > 0 or is_uneven(character.glb.tree["nodes"][number]):
             name = character.nodes.names[place]
             raise UserError(f"the scale of {name!r} is zero, mirrored or uneven; apply scales before the export")
     trunk = joints["neck"] - joints["pelvis"]

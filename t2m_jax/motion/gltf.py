@@ -1,6 +1,6 @@
 """Reading the animations of a GLB file (glTF 2.0 in one binary file) as clips of a hierarchy of joints.
 
-Scales are taken as equal along x, y and z and as constant, which they are in files of people.
+Scales are taken as constant, which they are in files of people.
 """
 
 import dataclasses
@@ -16,12 +16,13 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_bytes
 from t2m_jax.motion.glb_file import GlbChunks, free_name, own_extra, read_accessor, reading_glb, split_chunks
-from t2m_jax.motion.gltf_nodes import W_FIRST, Nodes, find_movers, find_nodes, moved_nodes, rest_clip
+from t2m_jax.motion.gltf_nodes import Nodes, find_movers, find_nodes, moved_nodes, rest_clip, scaled_poses
+from t2m_jax.motion.gltf_transforms import W_FIRST
 from t2m_jax.motion.part_captions import checked_parts
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.recognition import in_human_size
-from t2m_jax.motion.rotations import matrix_from_quaternion, slerp
+from t2m_jax.motion.rotations import slerp
 from t2m_jax.motion.skeleton import HUMANML3D
 
 MAX_SECONDS = 3600.0
@@ -198,10 +199,11 @@ def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: 
         raise ValueError("an animation has values that are not finite")
     own = rate == own_rate is not None  # at another rate, sentences begin at other frames
     said = [own_extra(glb.tree, animation, name) if own else () for name in ("part_starts", "part_captions")]
+    turned, placed = scaled_poses(nodes, rotations, translations)
     clip = dataclasses.replace(
         rest_clip(nodes),
-        rotations=matrix_from_quaternion(rotations.astype(np.float32)),
-        translations=(translations * nodes.scales[:, None]).astype(np.float32),
+        rotations=turned,
+        translations=placed,
         fps=dense,
         parts=checked_parts(*said, num_frames=len(times)),
     )

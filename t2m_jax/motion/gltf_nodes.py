@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.glb_file import GlbChunks, read_accessor
+from t2m_jax.motion.gltf_transforms import Matrix, is_uneven, parents_of, rest_pose, stretch, world_matrix
+from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rotations import (
     matrix_from_quaternion,
@@ -17,12 +19,8 @@ from t2m_jax.motion.rotations import (
     rotate_vectors,
 )
 
-W_FIRST = [3, 0, 1, 2]
-"""glTF's quaternions are x, y, z, w."""
 SAME = np.cos(np.deg2rad(3.0) / 2)
 """Rotations are equal if the inner product of their quaternions is larger, since they differ by less than 3 degrees."""
-
-Matrix = Float[np.ndarray, "4 4"]
 
 
 class Nodes(NamedTuple):
@@ -35,7 +33,9 @@ class Nodes(NamedTuple):
     translations: Float[np.ndarray, "J 3"]
     rotations: Float[np.ndarray, "J 4"]
     scales: Float[np.ndarray, " J"]
-    """Of each joint's parent and all nodes above it."""
+    """Of each joint's parent and all nodes above it, if they are even."""
+    stretches: Float[np.ndarray, "J 3 3"] | None
+    """What a node does to vectors before it turns them; None if all scales are even."""
     is_person: bool
     """Whether the file names the bones of a person, as VRM files do."""
     notes: tuple[str, ...] = ()
@@ -56,7 +56,7 @@ def find_nodes(tree: Mapping[str, Any], animation: Mapping[str, Any] | None = No
         UserError: There are none.
     """
     nodes = tree.get("nodes", [])
-    above = _parents(nodes)
+    above = parents_of(nodes)
     bones = _human_bones(tree)
     skinned, notes = _skinned(tree, above, animation)
     wanted = set(bones) or skinned or _animated(tree.get("animations", []), nodes)
@@ -67,14 +67,16 @@ def find_nodes(tree: Mapping[str, Any], animation: Mapping[str, Any] | None = No
     order = _parents_first(wanted, above)
     numbers = {number: place for place, number in enumerate(order)}
     parents = tuple(numbers[above[number]] if number in above else -1 for number in order)
-    poses = [_rest_pose(nodes[number]) for number in order]
+    poses = [rest_pose(nodes[number]) for number in order]
     scales = np.ones(len(order))
     for place, parent in enumerate(parents):
         # Parents come first in this order, so their scale is known.
         scales[place] = 1.0 if parent < 0 else scales[parent] * poses[parent][2]
+    uneven = any(is_uneven(nodes[number]) for number in order if nodes[number].get("children"))
+    stretches = np.stack([stretch(nodes[number]) for number in order]) if uneven else None
     names = tuple(bones.get(number) or str(nodes[number].get("name", f"node_{number}")) for number in order)
     translations, rotations, _ = map(np.stack, zip(*poses, strict=True))
-    return Nodes(names, parents, numbers, translations, rotations, scales, bool(bones), notes)
+    return Nodes(names, parents, numbers, translations, rotations, scales, stretches, bool(bones), notes)
 
 
 def _parents_first(joints: Iterable[int], above: Mapping[int, int]) -> list[int]:
@@ -96,22 +98,39 @@ def _parents_first(joints: Iterable[int], above: Mapping[int, int]) -> list[int]
 
 def rest_clip(nodes: Nodes) -> RigClip:
     """Returns the rest pose as a clip of one frame, in the unit of the file."""
-    offsets = (nodes.translations * nodes.scales[:, None]).astype(np.float32)
-    if not (np.isfinite(offsets).all() and np.isfinite(nodes.rotations).all()):
+    rotations, translations = scaled_poses(nodes, nodes.rotations[None], nodes.translations[None])
+    if not (np.isfinite(translations).all() and np.isfinite(nodes.rotations).all()):
         raise ValueError("its nodes have values that are not finite")
-    rotations = matrix_from_quaternion(nodes.rotations.astype(np.float32))
     return RigClip(
         joint_names=nodes.names,
         parents=nodes.parents,
-        offsets=offsets,
-        rest_rotations=rotations,
-        rotations=rotations[None],
-        translations=offsets[None],
+        offsets=translations[0],
+        rest_rotations=rotations[0],
+        rotations=rotations,
+        translations=translations,
         fps=1.0,
         metres_per_unit=1.0,
         is_person=nodes.is_person,
         notes=nodes.notes,
     )
+
+
+def scaled_poses(
+    nodes: Nodes, rotations: Float[np.ndarray, "T J 4"], translations: Float[np.ndarray, "T J 3"]
+) -> tuple[Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
+    """Returns rotations as matrices, and translations with the scales of the nodes above.
+
+    Uneven scales shear what turns below them. No rotation does that, so then all turns become translations.
+    """
+    matrices = matrix_from_quaternion(rotations.astype(np.float32))
+    if nodes.stretches is None:
+        return matrices, (translations * nodes.scales[:, None]).astype(np.float32)
+    # The scale above the first node is the unit of the file.
+    steps = translations * nodes.scales[0]
+    places = forward_kinematics(matrices @ nodes.stretches, steps, nodes.parents).positions
+    is_root = np.array(nodes.parents) < 0
+    from_parent = places - np.where(is_root[:, None], 0.0, places[:, nodes.parents])
+    return np.broadcast_to(np.eye(3, dtype=np.float32), matrices.shape), from_parent.astype(np.float32)
 
 
 def _human_bones(tree: Mapping[str, Any]) -> dict[int, str]:
@@ -178,17 +197,13 @@ def find_movers(tree: Mapping[str, Any]) -> set[int]:
     """Returns the nodes that move a figure: the joints of all figures, and the nodes above them."""
     nodes = tree.get("nodes", [])
     joints = set(_human_bones(tree)).union(*(skin["joints"] for skin in tree.get("skins", [])))
-    return set(_parents_first(joints or moved_nodes(tree.get("animations", [])), _parents(nodes)))
+    return set(_parents_first(joints or moved_nodes(tree.get("animations", [])), parents_of(nodes)))
 
 
 def moved_nodes(animations: Iterable[Mapping[str, Any]]) -> set[int]:
     """Returns the nodes that animations turn or move."""
     targets = [channel["target"] for animation in animations for channel in animation.get("channels", ())]
     return {target["node"] for target in targets if target["path"] in ("translation", "rotation") and "node" in target}
-
-
-def _parents(nodes: Sequence[Mapping[str, Any]]) -> dict[int, int]:
-    return {child: number for number, node in enumerate(nodes) for child in node.get("children", [])}
 
 
 def _animated(animations: Sequence[Mapping[str, Any]], nodes: Sequence[Mapping[str, Any]]) -> set[int]:
@@ -201,43 +216,6 @@ def _animated(animations: Sequence[Mapping[str, Any]], nodes: Sequence[Mapping[s
             found.add(number)
             waiting += nodes[number].get("children", [])
     return found
-
-
-def _rest_pose(node: Mapping[str, Any]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 4"], float]:
-    """Returns translation, rotation (w first) and scale of a node."""
-    if "matrix" in node:
-        matrix = np.array(node["matrix"], float).reshape(4, 4).T
-        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-        return matrix[:3, 3], quaternion_from_matrix(matrix[:3, :3] / scale).astype(float), scale
-    translation = np.array(node.get("translation", (0, 0, 0)), float).reshape(3)
-    rotation = np.array(node.get("rotation", (0, 0, 0, 1)), float).reshape(4)[W_FIRST]
-    return translation, rotation, float(np.mean(np.array(node.get("scale", 1), float)))
-
-
-def _world_matrix(tree: Mapping[str, Any], number: int) -> Matrix:
-    """Returns where a node is in the world, with its scale."""
-    above = _parents(tree["nodes"])
-    matrix = np.eye(4)
-    line: list[int] = []
-    while number not in line:
-        line.append(number)
-        translation, rotation, scale = _rest_pose(tree["nodes"][number])
-        pose = np.eye(4)
-        pose[:3, :3] = scale * matrix_from_quaternion(rotation)
-        pose[:3, 3] = translation
-        matrix = pose @ matrix
-        number = above.get(number, number)
-    return matrix
-
-
-def without_matrix(node: dict[str, Any]) -> None:
-    """Writes the matrix of a node as translation, rotation and scale, since only these can be animated."""
-    if "matrix" in node:
-        translation, rotation, scale = _rest_pose(node)
-        del node["matrix"]
-        node["translation"] = translation.tolist()
-        node["rotation"] = rotation[[1, 2, 3, 0]].tolist()
-        node["scale"] = [scale] * 3
 
 
 def bind_pose(glb: GlbChunks, nodes: Nodes) -> Nodes:
@@ -301,7 +279,7 @@ def _is_compressed(tree: Mapping[str, Any], accessor: int) -> bool:
 def _mesh_of_skin(tree: Mapping[str, Any], skin: int) -> Matrix:
     """Returns where the mesh of a skin is, in whose space the joints were bound."""
     meshes = [number for number, node in enumerate(tree["nodes"]) if node.get("skin") == skin]
-    return _world_matrix(tree, meshes[0]) if meshes else np.eye(4)
+    return world_matrix(tree, meshes[0]) if meshes else np.eye(4)
 
 
 def _rotation(matrix: Matrix) -> Float[np.ndarray, "3 3"]:

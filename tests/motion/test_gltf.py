@@ -111,6 +111,25 @@ def test_rotations_may_be_integers_and_nodes_may_be_matrices(tmp_path):
     np.testing.assert_allclose(hand_of(writer, tmp_path, fps=1.0), [[2, 1, 1], [0, 1, 1]], atol=1e-3)
 
 
+@pytest.mark.parametrize("is_matrix", [True, False])
+@pytest.mark.parametrize("scale", [(-1, 1, 1), (1, 1, 1.6), (-1, -1, 2), (-2, -2, -2)])
+def test_uneven_scales_move_points_as_gltf_says(tmp_path, scale, is_matrix):
+    writer = GlbWriter()
+    tilt = [np.sin(0.2), 0, 0, np.cos(0.2)]
+    turn = np.array([[1, 0, 0], [0, np.cos(0.4), -np.sin(0.4)], [0, np.sin(0.4), np.cos(0.4)]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn * scale
+    placed = {"matrix": matrix.T.ravel().tolist()} if is_matrix else {"rotation": tilt, "scale": scale}
+    above = writer.joint("Armature", is_joint=False, **placed)
+    root = writer.joint("Root", above, translation=[0, 1, 0])
+    writer.joint("Hand", root, translation=[0.5, 0, 0.2])
+    writer.animation("move", [(root, "rotation", [0, 1], about_y([0, 90]), "LINEAR", "f4")])
+    angle = np.deg2rad(np.linspace(0, 90, 11))
+    ahead = np.cos(angle) * 0.2 - np.sin(angle) * 0.5
+    local = np.stack([np.cos(angle) * 0.5 + np.sin(angle) * 0.2, np.ones(11), ahead], axis=1)
+    np.testing.assert_allclose(hand_of(writer, tmp_path, fps=10.0), local * scale @ turn.T, atol=1e-6)
+
+
 @pytest.mark.parametrize("has_base", [True, False])
 def test_sparse_values_are_those_that_differ(tmp_path, has_base):
     """Blender and optimizers write few values that differ, and no data at all where all are zero."""
