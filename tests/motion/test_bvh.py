@@ -205,6 +205,30 @@ def test_names_of_old_encodings_stay_different(tmp_path, encoding, names):
     assert len(set(found)) == 2 and (found == names or encoding == "cp1251")
 
 
+def test_frames_on_several_lines_and_comments_before_the_first_are_read(tmp_path):
+    expected = load_bvh(write(tmp_path, ARM_BVH))
+    head, _, rows = ARM_BVH.partition("Frame Time: 0.0333333\n")
+    wrapped = "\n".join(" ".join(row.split()[first : first + 5]) for row in rows.splitlines() for first in (0, 5, 10))
+    text = f"# by hand\n\n// twice\n{head}Frame Time: 0.0333333\n{wrapped}\n"
+    np.testing.assert_array_equal(load_bvh(write(tmp_path, text)).positions, expected.positions)
+    for bad, line in ((text.replace("OFFSET 30", "OFFSET x"), 11), (text.removesuffix("0\n"), 27)):
+        with pytest.raises(UserError, match=rf":{line}: "):
+            load_bvh(write(tmp_path, bad))
+
+
+def test_angles_that_seem_to_be_radians_are_said(tmp_path):
+    save_bvh(tmp_path / "walk.bvh", Motion(positions=walking_positions(), fps=20.0))
+    head, rows = re.split(r"(?<=Frame Time: 0\.05)0*\n", (tmp_path / "walk.bvh").read_text())
+    frames = np.array([row.split() for row in rows.splitlines()], float)
+    assert not load_bvh(tmp_path / "walk.bvh").notes
+    frames[:, 3:] = np.deg2rad(frames[:, 3:])
+    for factor, is_said in ((1.0, True), (0.01, False)):  # who only slides is not in radians
+        table = np.concatenate([frames[:, :3], frames[:, 3:] * factor], axis=1)
+        text = "\n".join(" ".join(map(repr, row)) for row in table.tolist())
+        notes = load_bvh(write(tmp_path, f"{head}\n{text}\n")).notes
+        assert any("may be radians" in note for note in notes) == is_said
+
+
 def test_joint_names_may_hold_spaces_and_namespaces(tmp_path):
     clip = load_bvh(write(tmp_path, ARM_BVH.replace("JOINT Arm", "JOINT mixamorig:Left Arm")))
     assert clip.joint_names[1] == "mixamorig:Left Arm"

@@ -35,7 +35,8 @@ def parse_motion(
     if num_channels == 0:
         raise UserError(f"{path}:{line}: the hierarchy has no channels, so there is no motion to read")
     first_row = line + 1
-    rows = [(number, row) for number, row in enumerate(text.split(b"\n"), first_row) if row.strip()]
+    lines = [(number, row) for number, row in enumerate(text.split(b"\n"), first_row) if row.strip()]
+    rows = _unwrapped(lines, shape=(num_frames, num_channels))
     values = np.zeros((0, 0))
     with contextlib.suppress(ValueError):  # a word is not a number, or rows have different lengths
         # Row by row, because lists of Python's numbers need four times the memory.
@@ -44,6 +45,26 @@ def parse_motion(
     if values.shape != (num_frames, num_channels) or not (np.abs(values) < MAX_VALUE).all() or b"_" in text:
         raise _problem([(first_row, b""), *rows], path, shape=(num_frames, num_channels))
     return values, fps
+
+
+def _unwrapped(rows: Sequence[tuple[int, bytes]], *, shape: tuple[int, int]) -> Sequence[tuple[int, bytes]]:
+    """Returns a row for each frame if all frames have several lines in the file; otherwise its lines."""
+    num_frames, num_channels = shape
+    if not rows or len(rows[0][1].split()) >= num_channels:
+        return rows
+    frames: list[tuple[int, list[bytes]]] = []
+    count = num_channels
+    for line, row in rows:
+        if count == num_channels:
+            frames.append((line, []))
+            count = 0
+        frames[-1][1].append(row)
+        count += len(row.split())
+        if count > num_channels:
+            return rows
+    if count < num_channels or len(frames) != num_frames:
+        return rows
+    return [(line, b" ".join(parts)) for line, parts in frames]
 
 
 def _problem(rows: Sequence[tuple[int, bytes]], path: Path, *, shape: tuple[int, int]) -> UserError:

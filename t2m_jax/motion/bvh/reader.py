@@ -25,6 +25,12 @@ from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 _UNITS = ((10.0, 1.0), (300.0, 0.01), (np.inf, 0.001))
 
 
+LARGEST_RADIANS = 3.2
+"""Angles of a file in radians are at most pi, and one of somebody who walks is more than that many degrees."""
+SMALLEST_ANGLE = 0.3
+"""A figure that only slides has smaller angles, whatever their unit is."""
+TRAVEL = 1.0
+"""Meters that the root of somebody who walks travels."""
 MAX_HIERARCHY_BYTES = 4_000_000
 """Longest text before the word MOTION. That of a figure with fingers and face has about 100 kB."""
 
@@ -66,6 +72,7 @@ def load_bvh(
     channels, moving = _positions(hierarchy, values)
     translations = translations_from_channels(hierarchy, channels, moving, rotations, rule=root_positions)
     unit, said = (metres_per_unit, "") if metres_per_unit else _guess_unit(hierarchy, translations, rig)
+    notes = filter(None, (said, _angles_note(hierarchy, values, translations[:, 0] * unit)))
     return RigClip(
         joint_names=hierarchy.joint_names,
         parents=hierarchy.parents,
@@ -75,7 +82,7 @@ def load_bvh(
         fps=fps,
         metres_per_unit=unit,
         end_sites={joint: np.array(place, np.float32) * unit for joint, place in hierarchy.end_sites.items()},
-        notes=(said,) if said else (),
+        notes=tuple(notes),
         parts=parts_from_note(hierarchy.note, num_frames=len(values)),
     )
 
@@ -83,13 +90,16 @@ def load_bvh(
 def _read_bytes(path: Path) -> bytes:
     """Returns what is in a file that begins as BVH files do."""
     data = load_bytes(path).removeprefix(b"\xef\xbb\xbf")
+    # Old programs of the Mac end lines with a carriage return alone.
+    data = data if b"\n" in data else data.replace(b"\r", b"\n")
+    if comments := re.match(rb"(?:\s*(?:#|//)[^\n]*\n)+", data):  # lines stay where they are, for errors
+        data = b"\n" * comments[0].count(b"\n") + data[comments.end() :]
     if not data.strip():
         raise UserError(f"{path}:1: the file is empty")
     if b"\0" in data[:4096] or not re.match(rb"\s*HIERARCHY\b", data, flags=re.IGNORECASE):
         start = data.lstrip()[:12].decode("utf-8", errors="replace")
         raise UserError(f"{path}:1: not a BVH file: it starts with {start!r} instead of HIERARCHY")
-    # Old programs of the Mac end lines with a carriage return alone.
-    return data if b"\n" in data else data.replace(b"\r", b"\n")
+    return data
 
 
 def _decode(text: bytes) -> str:
@@ -127,6 +137,15 @@ def _rotations(hierarchy: Hierarchy, values: Float[np.ndarray, "T C"]) -> Float[
         joints = [joint for joint, _ in members]
         result[:, joints] = matrix_from_euler(radians[:, np.array([picked for _, picked in members])], order)
     return result
+
+
+def _angles_note(hierarchy: Hierarchy, values: Float[np.ndarray, "T C"], root: Float[np.ndarray, "T 3"]) -> str:
+    """Returns what to say if angles seem to be radians: somebody gets ahead, and no joint turns by more than 3.2."""
+    turns = [name in ROTATION_CHANNELS for names in hierarchy.channels for name in names]
+    largest = np.abs(values[:, turns]).max(initial=0.0)
+    if not (SMALLEST_ANGLE < largest <= LARGEST_RADIANS and np.ptp(root, axis=0).max() > TRAVEL):
+        return ""
+    return f"angles are read as degrees, as in all BVH files; none is larger than {largest:.2g}, so they may be radians"
 
 
 def _positions(
