@@ -46,7 +46,7 @@ class _Keyframes(NamedTuple):
     interpolation: str
 
 
-def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigClip]:
+def load_gltf(path: Path | str, *, fps: float | None = None, at_keys: bool = True) -> dict[str, RigClip]:
     """Returns the animations of a GLB file by name. Equal names get a number.
 
     Lengths are in meters, as glTF demands, unless the file says that this package wrote centimeters.
@@ -55,11 +55,12 @@ def load_gltf(path: Path | str, *, fps: float | None = None) -> dict[str, RigCli
         path: The file.
         fps: Frames per second to sample the keys at. By default the rate that this package wrote into the file, and for
             other files that of their keys. If these are few or uneven, it is 20, after a filter.
+        at_keys: Whether the rate of the keys is used; otherwise, it is 20 for all files of other programs.
 
     Raises:
         UserError: The file cannot be read, is damaged, or has no joints or no animation.
     """
-    return _load(Path(path), fps, list)
+    return _load(Path(path), list, fps=fps, at_keys=at_keys)
 
 
 def load_gltf_animation(path: Path | str, animation: str | None = None) -> RigClip:
@@ -82,7 +83,7 @@ def load_gltf_animation(path: Path | str, animation: str | None = None) -> RigCl
             raise UserError(f"has {wanted}; choose one of {shorten(', '.join(captions), 200, placeholder=' ...')}")
         return chosen
 
-    (clip,) = _load(Path(path), None, choose).values()
+    (clip,) = _load(Path(path), choose).values()
     return clip
 
 
@@ -98,11 +99,13 @@ def load_gltf_joints(path: Path | str) -> RigClip:
         tree = split_chunks(data).tree
         if not _titles(tree):
             return rest_clip(find_nodes(tree))
-    (clip,) = _load(path, None, lambda captions: list(captions)[:1]).values()
+    (clip,) = _load(path, lambda captions: list(captions)[:1]).values()
     return clip
 
 
-def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], list[str]]) -> dict[str, RigClip]:
+def _load(
+    path: Path, choose: Callable[[Mapping[str, str]], list[str]], *, fps: float | None = None, at_keys: bool = True
+) -> dict[str, RigClip]:
     """Returns the animations that a function chooses from the captions of all, by name."""
     data = load_bytes(path)
     with reading_glb(path):
@@ -124,7 +127,7 @@ def _load(path: Path, fps: float | None, choose: Callable[[Mapping[str, str]], l
             nodes = shared or find_nodes(glb.tree, animation)
             nodes = nodes._replace(scales=nodes.scales * unit)
             with np.errstate(over="ignore", invalid="ignore"):  # what is too large is then found not to be finite
-                clip = in_human_size(_sample(glb, nodes, animation, fps=fps, room=room))
+                clip = in_human_size(_sample(glb, nodes, animation, fps=fps, at_keys=at_keys, room=room))
             room -= clip.num_frames * len(nodes.names)
             clips[title] = dataclasses.replace(clip, caption=captions[title])
     return clips
@@ -172,7 +175,9 @@ def _key_rate(tracks: Sequence[Float[np.ndarray, " _"]]) -> float | None:
     return None
 
 
-def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: float | None, room: int) -> RigClip:
+def _sample(
+    glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: float | None, at_keys: bool, room: int
+) -> RigClip:
     """Returns one animation at `fps` frames per second (see `load_gltf`), if it has at most `room` poses of joints."""
     tracks: dict[tuple[int, str], _Keyframes] = {}
     for channel in animation["channels"]:
@@ -185,7 +190,7 @@ def _sample(glb: GlbChunks, nodes: Nodes, animation: Mapping[str, Any], *, fps: 
     if not 0 <= seconds <= MAX_SECONDS:
         raise UserError(f"an animation ends after {seconds:g} seconds; expected at most {MAX_SECONDS:g}")
     own_rate = _own_rate(glb.tree, animation)
-    rate = fps or own_rate or _key_rate([track.times for track in tracks.values()])
+    rate = fps or own_rate or (_key_rate([track.times for track in tracks.values()]) if at_keys else None)
     dense = rate or DENSE_FPS
     # The last key may be just below a whole frame.
     times = np.arange(int(np.floor(seconds * dense + OFF_FRAME)) + 1) / dense

@@ -3,6 +3,7 @@ import random
 import numpy as np
 import pytest
 
+from t2m_jax.data.importers.motion_files import open_motion_file
 from t2m_jax.errors import UserError
 from t2m_jax.export.formats import load_glb_file
 from t2m_jax.motion import gltf
@@ -75,8 +76,11 @@ def test_the_rate_is_that_of_even_keys(tmp_path, frames, rate, fps):
             for node, own in zip((root, hand), kept, strict=True)
         ],
     )
-    clip = load_gltf(writer.save(tmp_path / "arm.glb"))["move"]
+    path = writer.save(tmp_path / "arm.glb")
+    clip = load_gltf(path)["move"]
     assert clip.fps == pytest.approx(fps, rel=1e-5) and clip.num_frames == int(times[-1] * fps + 0.05) + 1
+    (imported,) = open_motion_file(path).values()
+    assert imported.fps == 20, "data stay as they are, whatever the rate of the keys"
     if clip.num_frames == len(frames):
         np.testing.assert_allclose(clip.translations[::3, 1], places[::3], atol=0.02)
 

@@ -57,7 +57,8 @@ def open_motion_file(path: Path, *, amc_fps: float = AMC_FPS, rig: str | None = 
 def _read_motion_file(path: Path, *, amc_fps: float, rig: str | None) -> dict[Source, RigClip]:
     suffix = path.suffix.lower()
     if suffix == ".glb":
-        clips = load_gltf(path)
+        # Keys at any rate become 20 frames per second in one step, as they always did: frozen data stay the same.
+        clips = load_gltf(path, at_keys=False)
         # Animations of two armatures may have equal captions; their names differ.
         counts = Counter(clip.caption for clip in clips.values())
         return {Source(path, clip.caption if counts[clip.caption] == 1 else name): clip for name, clip in clips.items()}
