@@ -147,7 +147,10 @@ def _head(bones: Bones, chest: int) -> int | None:
         clearest = max((bones.words[joint].parts[part] for joint in named), default=0.0)
         if named:
             return [joint for joint in named if bones.words[joint].parts[part] == clearest][place]
-    return None
+    # Blender numbers the trunk up to the head (`spine.006`). In 3ds Max's CAT, the head is after the only such joint.
+    spines = [joint for joint in plain if "spine" in bones.words[joint].parts]
+    top = max(spines, key=lambda joint: len(bones.lines[joint]), default=None)
+    return next((joint for joint in plain if spines == [top] == [bones.lines[joint][-2]]), top)
 
 
 def _add_spine(bones: Bones, found: dict[str, int], chest: int) -> None:

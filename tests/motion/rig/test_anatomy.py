@@ -1,0 +1,65 @@
+"""Rigs of many programs in small: which joint of HumanML3D each of their joints is."""
+
+import numpy as np
+import pytest
+
+from t2m_jax.motion.rig.anatomy import find_joints, make_bones
+from t2m_jax.motion.skeleton import HUMANML3D
+from tests.motion.rig.foreign import Joint
+
+PLACES = {
+    "pelvis": (0, 0.95, 0), "spine1": (0, 1.08, 0), "spine2": (0, 1.21, 0), "spine3": (0, 1.34, 0),
+    "neck": (0, 1.5, 0), "head": (0, 1.6, 0), "hip": (0.08, 0.9, 0), "knee": (0.08, 0.5, 0),
+    "ankle": (0.08, 0.08, 0), "foot": (0.08, 0.02, 0.12), "collar": (0.03, 1.45, 0), "shoulder": (0.17, 1.45, 0),
+    "elbow": (0.43, 1.45, 0), "wrist": (0.69, 1.45, 0),
+    # No joints of HumanML3D.
+    "thigh": (0.08, 0.7, 0), "shin": (0.08, 0.29, 0), "arm": (0.3, 1.45, 0), "forearm": (0.56, 1.45, 0),
+    "throat": (0, 1.55, 0), "palm": (0.78, 1.45, 0),
+}  # fmt: skip
+"""Places in meters for the joints of the middle and of the left."""
+TRUNK = "Hips=pelvis Spine=spine1 Spine1=spine2 Spine2=spine3 Neck=neck Head=head"
+LEG = "{s}UpLeg=hip {s}Leg=knee {s}Foot=ankle {s}ToeBase=foot"
+ARM = "{s}Shoulder=collar {s}Arm=shoulder {s}ForeArm=elbow {s}Hand=wrist"
+
+
+def figure(trunk=TRUNK, leg=LEG, arm=ARM, *, sides=("Left", "Right"), arms_on="spine3"):
+    """Returns the joints of a person and joints of HumanML3D -> their names, from chains of `name=place`."""
+    joints, places, roles = [], {}, {}
+
+    def chain(text, parent, side="", sign=1):
+        for name, place in (word.rsplit("=", 1) for word in text.split()):
+            name = name.replace("{s}", side)
+            places[name] = np.array(PLACES[place]) * (sign, 1, 1)
+            joints.append(Joint(name, parent, tuple(places[name] - places.get(parent, 0))))
+            role = f"{'left' if sign > 0 else 'right'}_{place}" if side else place
+            if role in HUMANML3D.joint_names:
+                roles[role] = name
+            parent = name
+
+    chain(trunk, None)
+    for side, sign in zip(sides, (1, -1), strict=True):
+        chain(leg, roles["pelvis"], side, sign)
+        chain(arm, roles[arms_on], side, sign)
+    return joints, roles
+
+
+def recognized(joints):
+    """Returns joints of HumanML3D -> the names that were recognized."""
+    names = [joint.name for joint in joints]
+    parents = [-1 if joint.parent is None else names.index(joint.parent) for joint in joints]
+    found = find_joints(make_bones(names, parents, np.array([joint.offset for joint in joints])))
+    return {role: names[place] for role, place in found.items()}
+
+
+SPINES = "spine=pelvis spine.001=spine1 spine.002=spine2 spine.003=spine3 spine.004=neck"
+RIGS = {
+    "metarig of Blender": {"trunk": f"{SPINES} spine.005=throat spine.006=head"},
+    "CAT of 3ds Max": {"trunk": "Hub001=pelvis Spine1=spine1 Spine2=spine2 Hub002=spine3 Spine3=neck Hub003=head"},
+    "numbers that end at the neck": {"trunk": SPINES},
+}
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_joints_are_recognized(name):
+    joints, roles = figure(**RIGS[name])
+    assert recognized(joints) == roles
