@@ -33,7 +33,7 @@ LEG_PER_TRUNK = 1.05
 FOOT_PER_SHIN = 0.75
 """Longest foot of a person, from ankle to ball, in shins. People have 0.35; animals that walk on their toes 0.8."""
 LEVEL = 0.5
-"""A trunk is level if it is less than this along the vertical (cosine)."""
+"""Cosine of directions that are nearly at a right angle, such as a level trunk and the vertical, or less."""
 LOW_HANDS = 0.3
 """Hands are on the floor if they are lower than this part of the neck's height. Hanging hands are at half of it."""
 ALWAYS = 0.8
@@ -139,7 +139,7 @@ def unit_from_leg(leg: float) -> tuple[float, str]:
 def check_is_person(bones: Bones, joints: Mapping[str, int], positions: Joints) -> None:
     """Raises `UserError` for the joints of an animal, whose limbs have names as those of a person.
 
-    Two signs are needed: people may crawl in a whole clip, and characters may have a tail.
+    Two signs are needed: people may crawl in a whole clip, and characters may have a tail or short legs.
 
     Args:
         bones: The hierarchy.
@@ -155,8 +155,8 @@ def check_is_person(bones: Bones, joints: Mapping[str, int], positions: Joints) 
     tails = [bones.names[joint] for joint, words in enumerate(bones.words) if words.is_animal]
     signs = {
         f"joint {tails[0]!r}" if tails else "": bool(tails),
-        "arms as long as legs": arm > ARM_PER_LEG * leg,
-        "legs shorter than the trunk": leg < LEG_PER_TRUNK * trunk,
+        # Arms as long as the legs, and legs shorter than the trunk, are one sign: many drawn people have short legs.
+        "short legs": arm > ARM_PER_LEG * leg or leg < LEG_PER_TRUNK * trunk,
         "long feet": foot > FOOT_PER_SHIN * shin,
         "on all fours": _is_on_all_fours(positions),
     }
@@ -169,8 +169,15 @@ def check_is_person(bones: Bones, joints: Mapping[str, int], positions: Joints) 
 
 def _is_on_all_fours(positions: Joints) -> bool:
     """Returns whether the trunk is level, or the hands are near the floor, in nearly all frames."""
-    neck, pelvis, left, right = (positions[:, JOINT[name]] for name in ("neck", "pelvis", "left_wrist", "right_wrist"))
-    is_level = np.abs(unit_vectors(neck - pelvis)[:, 1]) < LEVEL
+    pelvis, neck = positions[:, JOINT["pelvis"]], positions[:, JOINT["neck"]]
+    hip, ankle, shoulder, wrist = (
+        positions[:, [JOINT[f"{side}_{name}"] for side in SIDES]] for name in ("hip", "ankle", "shoulder", "wrist")
+    )
+    trunk = unit_vectors(neck - pelvis)
+    leg, arm = (unit_vectors(np.sum(end - start, axis=1)) for start, end in ((hip, ankle), (shoulder, wrist)))
+    is_level = np.abs(trunk[:, 1]) < LEVEL
+    # Also if the wrong axis seems to point up: it is the one along the trunk.
+    is_level |= (np.abs(np.sum(trunk * leg, axis=-1)) < LEVEL) & (np.sum(leg * arm, axis=-1) > LEVEL)
     floor = positions[..., 1].min(axis=1)
-    hands = np.maximum(left[:, 1], right[:, 1]) - floor < LOW_HANDS * (neck[:, 1] - floor)
+    hands = wrist[..., 1].max(axis=1) - floor < LOW_HANDS * (neck[:, 1] - floor)
     return bool(np.mean(is_level | hands) > ALWAYS)

@@ -407,6 +407,16 @@ def test_a_person_with_a_tail_is_a_person(tmp_path, skeletons):
     check_person(write_walk(tmp_path / "cat.bvh", [*joints, Joint("Tail", "Hips", (0, 0, -20.0))], roles))
 
 
+DWARF = animal(DOG, arm=0.42, leg=0.4, trunk=0.5, foot=0.08, tail=False, slope=np.pi / 2)
+
+
+def test_drawn_people_may_have_short_legs_and_long_arms(tmp_path):
+    path = tmp_path / "dwarf.bvh"
+    path.write_text(bvh_of(DWARF, {}, np.ones((5, 3))))
+    positions = load_motion(path).positions
+    assert positions[0, INDEX("left_wrist"), 1] > positions[0, INDEX("left_knee"), 1]
+
+
 def test_somebody_who_crawls_is_a_person(tmp_path, skeletons):
     joints, roles = skeletons["optical"], both_sides(**ROLES["optical"])
     turns = walk_on(joints, roles)
