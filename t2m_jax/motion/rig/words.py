@@ -15,7 +15,6 @@ MAX_NAME = 200
 """Letters of a name that are read, after its namespace. What follows in a longer one says nothing of a joint."""
 MAX_BEGINNING = 40
 """Longest beginning that is searched."""
-_SIDES = {"l": "left", "left": "left", "lft": "left", "r": "right", "right": "right", "rgt": "right", "rt": "right"}
 _LONG_SIDES = ("left", "right")
 
 
@@ -37,11 +36,18 @@ class JointWords:
 def _vocabulary() -> dict[str, dict[str, float]]:
     """Returns what each word means: parts with weights, from `words.yaml`."""
     found: dict[str, dict[str, float]] = {}
-    for part, weights in load_yaml(Path(__file__).with_name("words.yaml")).data.items():
+    for part, weights in load_yaml(Path(__file__).with_name("words.yaml")).data["parts"].items():
         for weight, words in weights.items():
             for word in str(words).split():
                 found.setdefault(word, {})[part] = float(weight)
     return found
+
+
+@functools.cache
+def _sides() -> dict[str, str]:
+    """Returns the side that each word for a side means, from `words.yaml`."""
+    table = load_yaml(Path(__file__).with_name("words.yaml")).data["sides"]
+    return {word: side for side, words in table.items() for word in words.split()}
 
 
 def read_names(joint_names: Sequence[str]) -> list[JointWords]:
@@ -51,7 +57,7 @@ def read_names(joint_names: Sequence[str]) -> list[JointWords]:
     words = [[word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name)] for name in short]
     uses = Counter(word for parts in words for word in set(parts))
     # The hands of a figure with all fingers are in most names, too.
-    common = {word for word, count in uses.items() if count > MOST * len(words)} - _SIDES.keys() - _vocabulary().keys()
+    common = {word for word, count in uses.items() if count > MOST * len(words)} - _sides().keys() - _vocabulary().keys()
     return [_read(tuple(word for word in parts if word not in common) or tuple(parts)) for parts in words]
 
 
@@ -70,13 +76,14 @@ def _without_shared_beginning(names: Sequence[str]) -> list[str]:
 @functools.lru_cache(maxsize=4096)
 def _read(words: tuple[str, ...]) -> JointWords:
     """Returns what a name of these words says; sides are words, or the beginning or the end of the whole name."""
-    letters = tuple(word for word in words if not word.isdigit())
-    sides = [word for word in letters if word in _SIDES]
-    rest = tuple(word for word in letters if word not in _SIDES)
-    side = _SIDES[sides[0]] if sides else ""
-    if not side and rest:
-        side, rest = _fused_side(rest)
     known = _vocabulary()
+    letters = tuple(word for word in words if not word.isdigit())
+    sides = [_sides()[word] for word in letters if word in _sides()]
+    rest = tuple(word for word in letters if word not in _sides())
+    side = sides[0] if sides else ""
+    # `LFArm` is a left forearm, although `LF` is a side in other files.
+    if letters and (not side or (len(letters[0]) == 2 and "".join(letters)[1:] in known)):
+        side, rest = _fused_side(letters)
     parts: dict[str, float] = {}
     whole = "".join(rest)
     # The whole name says most (`upperleg`), then its last two words (`my_lower_arm`), its last, and any other.

@@ -63,3 +63,9 @@ RIGS = {
 def test_joints_are_recognized(name):
     joints, roles = figure(**RIGS[name])
     assert recognized(joints) == roles
+
+
+@pytest.mark.parametrize("sides", [("lf_", "rt_"), ("Lf_", "Rf_"), ("LT", "RT"), ("le_", "ri_"), ("lft_", "rgt_")])
+def test_sides_may_be_short(sides):
+    joints, roles = figure(sides=sides)
+    assert recognized(joints) == roles
