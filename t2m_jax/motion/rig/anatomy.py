@@ -1,5 +1,6 @@
 """The joints of a person in a hierarchy that no table knows: found by names, and by how a body is built."""
 
+import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -55,7 +56,20 @@ def make_bones(names: Sequence[str], parents: Sequence[int], offsets: Float[np.n
     reaches = np.zeros(len(parents))
     for joint, parent in enumerate(parents):
         reaches[joint] = reaches[parent] + lengths[joint] if parent >= 0 else 0.0
-    return Bones(names, offsets, read_names(names), lines, reaches)
+    return Bones(names, offsets, _with_sides(read_names(names), lines), lines, reaches)
+
+
+def _with_sides(words: Sequence[JointWords], lines: Sequence[Sequence[int]]) -> list[JointWords]:
+    """Returns the words of joints; one without a side gets that of the joints above and below it, if it is the same."""
+    below: list[set[str]] = [set() for _ in lines]
+    for line in lines:
+        for other in line[:-1]:
+            below[other] |= {words[line[-1]].side} - {""}
+    found = list(words)
+    for joint, sides in enumerate(below):
+        if not words[joint].side and len(sides) == 1 and sides <= {words[other].side for other in lines[joint]}:
+            found[joint] = dataclasses.replace(words[joint], side=min(sides))
+    return found
 
 
 def find_joints(bones: Bones) -> dict[str, int]:

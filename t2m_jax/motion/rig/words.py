@@ -57,7 +57,9 @@ def read_names(joint_names: Sequence[str]) -> list[JointWords]:
     words = [[word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name)] for name in short]
     uses = Counter(word for parts in words for word in set(parts))
     # The hands of a figure with all fingers are in most names, too.
-    common = {word for word, count in uses.items() if count > MOST * len(words)} - _sides().keys() - _vocabulary().keys()
+    common = (
+        {word for word, count in uses.items() if count > MOST * len(words)} - _sides().keys() - _vocabulary().keys()
+    )
     return [_read(tuple(word for word in parts if word not in common) or tuple(parts)) for parts in words]
 
 
@@ -103,8 +105,8 @@ def _fused_side(words: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
     """Returns the side in a name without signs, such as `leftarm`, `lthigh` or `armR`, and the words without it."""
     known = _vocabulary()
     whole = "".join(words)
-    # Such as `leg`, which does not begin with an l for left.
-    if whole in known:
+    # Such as `leg`, which does not begin with an l for left. Without another side, `larm` is a left arm, not a lower one.
+    if whole in known and whole[1:] not in known:
         return "", words
     for side in _LONG_SIDES:
         for rest in (whole.removeprefix(side), whole.removesuffix(side)):

@@ -56,6 +56,21 @@ RIGS = {
     "metarig of Blender": {"trunk": f"{SPINES} spine.005=throat spine.006=head"},
     "CAT of 3ds Max": {"trunk": "Hub001=pelvis Spine1=spine1 Spine2=spine2 Hub002=spine3 Spine3=neck Hub003=head"},
     "numbers that end at the neck": {"trunk": SPINES},
+    "OptiTrack": {
+        "leg": "{s}Thigh=hip {s}Shin=knee {s}Foot=ankle {s}Toe=foot",
+        "arm": "{s}Shoulder=collar {s}UArm=shoulder {s}FArm=elbow {s}Hand=wrist",
+        "sides": ("L", "R"),
+    },
+    "initials": {
+        "leg": "{s}ULeg=hip {s}LLeg=knee {s}Foot=ankle",
+        "arm": "{s}Shoulder=collar {s}UArm=shoulder {s}LArm=elbow {s}Hand=wrist",
+        "sides": ("L", "R"),
+    },
+    "words without vowels": {"arm": "{s}_shldr=shoulder {s}_elbw=elbow {s}_wrst=wrist", "sides": ("l", "r")},
+    "arms in small letters": {
+        "arm": "{s}clav=collar {s}arm=shoulder {s}forearm=elbow {s}hand=wrist",
+        "sides": ("l", "r"),
+    },
 }
 
 
@@ -69,3 +84,13 @@ def test_joints_are_recognized(name):
 def test_sides_may_be_short(sides):
     joints, roles = figure(sides=sides)
     assert recognized(joints) == roles
+
+
+def test_a_joint_in_a_limb_has_its_side():
+    joints, roles = figure(arm="{s}Shoulder=collar {s}Up=shoulder {s}ForeArm=elbow {s}Hand=wrist")
+    sideless = {roles["left_shoulder"]: "Up1", roles["right_shoulder"]: "Up2"}
+    joints = [
+        joint._replace(**{key: sideless.get(getattr(joint, key), getattr(joint, key)) for key in ("name", "parent")})
+        for joint in joints
+    ]
+    assert recognized(joints) == roles | {"left_shoulder": "Up1", "right_shoulder": "Up2"}
