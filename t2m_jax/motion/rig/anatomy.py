@@ -16,6 +16,8 @@ LEG = ("hip", "knee", "ankle")
 ARM = ("shoulder", "elbow", "wrist")
 MAX_LIMB = 16
 """Most joints of one line from the trunk to a tip that are compared."""
+MAX_UNEVEN = 0.4
+"""Largest ratio of the two bones of a limb whose end has no known name (logarithm); people have up to 0.25."""
 MIN_TIP = 0.05
 """A joint that is nearer than this part of the shin or of the spine to the one before it is at the same place."""
 _SPINE_PLACES = {name: SPINE_HEIGHTS[name] / SPINE_HEIGHTS["neck"] for name in ("spine1", "spine2", "spine3")}
@@ -98,9 +100,9 @@ def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> dict[tuple[i
     """Returns the three joints of what may be a leg or an arm of a side -> how likely it is."""
     found = {}
     own = {joint for joint, words in enumerate(bones.words) if words.side == side and not words.is_helper}
-    for end in own:
-        if roles[2] not in bones.words[end].parts:
-            continue
+    named = [joint for joint in own if roles[2] in bones.words[joint].parts]
+    # Without a hand or a foot, the lengths of bones tell where a limb ends: at a joint whose name says little.
+    for end in named or [joint for joint in own if max(bones.words[joint].parts.values(), default=0.0) < 1]:
         above = [joint for joint in bones.lines[end][:-1] if joint in own][-MAX_LIMB:]
         for first, second in itertools.combinations(above, 2):
             chosen = (first, second, end)
@@ -108,8 +110,10 @@ def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> dict[tuple[i
             upper, lower = bones.length(first, second), bones.length(second, end)
             # One of the upper joints may have a name that is not known, but not both.
             if max(evidence[:2]) > 0 and min(upper, lower) > 0:
+                uneven = abs(float(np.log(upper / lower)))
                 # A bone that is half as long as the other costs as much as a clear name gives.
-                found[chosen] = sum(evidence) - 3 * abs(float(np.log(upper / lower)))
+                if named or uneven < MAX_UNEVEN:
+                    found[chosen] = sum(evidence) - 3 * uneven
     return found
 
 

@@ -67,6 +67,11 @@ RIGS = {
         "sides": ("L", "R"),
     },
     "words without vowels": {"arm": "{s}_shldr=shoulder {s}_elbw=elbow {s}_wrst=wrist", "sides": ("l", "r")},
+    "letters from hip to toe": {
+        "leg": "{s}_leg_a=hip {s}_leg_b=knee {s}_leg_c=ankle {s}_leg_d=foot",
+        "arm": "{s}_clav=collar {s}_arm_a=shoulder {s}_arm_b=elbow {s}_arm_c=wrist",
+        "sides": ("l", "r"),
+    },
     "arms in small letters": {
         "arm": "{s}clav=collar {s}arm=shoulder {s}forearm=elbow {s}hand=wrist",
         "sides": ("l", "r"),
@@ -94,3 +99,10 @@ def test_a_joint_in_a_limb_has_its_side():
         for joint in joints
     ]
     assert recognized(joints) == roles | {"left_shoulder": "Up1", "right_shoulder": "Up2"}
+
+
+def test_a_limb_that_ends_early_is_not_guessed():
+    joints, _ = figure(
+        leg="{s}Thigh=hip {s}Shin=knee {s}Guard=shin", arm="{s}Shoulder=collar {s}Arm=shoulder {s}ForeArm=elbow"
+    )
+    assert not recognized(joints)
