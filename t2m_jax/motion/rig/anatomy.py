@@ -18,10 +18,28 @@ MAX_LIMB = 16
 """Most joints of one line from the trunk to a tip that are compared."""
 MAX_UNEVEN = 0.4
 """Largest ratio of the two bones of a limb whose end has no known name (logarithm); people have up to 0.25."""
+MIN_DISTANCE = 0.2
+"""Two figures whose tops are nearer than this part of a leg are the same person."""
 MIN_TIP = 0.05
 """A joint that is nearer than this part of the shin or of the spine to the one before it is at the same place."""
 _SPINE_PLACES = {name: SPINE_HEIGHTS[name] / SPINE_HEIGHTS["neck"] for name in ("spine1", "spine2", "spine3")}
 """Parts of the way from the pelvis to the neck."""
+
+Limb = tuple[int, int, int]
+"""The three joints of a leg or an arm."""
+Kind = tuple[str, tuple[str, str, str]]
+"""A side, and `LEG` or `ARM`."""
+
+
+class RigFigure(NamedTuple):
+    """The legs and arms of a person or an animal."""
+
+    top: int
+    """The last joint above all of them."""
+    limbs: Mapping[str, int]
+    """Joints of HumanML3D -> joints."""
+    evidence: float
+    """How clearly names and lengths mean these limbs, up to 24."""
 
 
 class Bones(NamedTuple):
@@ -80,12 +98,7 @@ def find_joints(bones: Bones) -> dict[str, int]:
     A limb is three joints of one side, one below the other, whose names mean its parts and whose two bones have about
     the same length. The pelvis is where the legs meet, the chest where the arms do, and the spine is between them.
     """
-    found: dict[str, int] = {}
-    for side, roles in itertools.product(("left", "right"), (LEG, ARM)):
-        limbs = _limbs(bones, side, roles)
-        if limbs:
-            best = max(limbs, key=limbs.__getitem__)
-            found |= {f"{side}_{role}": joint for role, joint in zip(roles, best, strict=True)}
+    found = next((dict(figure.limbs) for figure in find_figures(bones)), {})
     for side in ("left", "right"):
         if f"{side}_ankle" in found and (toe := _toe(bones, found, side)) is not None:
             found[f"{side}_foot"] = toe
@@ -96,7 +109,49 @@ def find_joints(bones: Bones) -> dict[str, int]:
     return found
 
 
-def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> dict[tuple[int, int, int], float]:
+def find_figures(bones: Bones) -> list[RigFigure]:
+    """Returns the figures that may be the person of a file, the likeliest first.
+
+    If a file has people, its animals are left out. So are copies of the likeliest figure at its place: controls.
+    """
+    limbs = {kind: _limbs(bones, *kind) for kind in itertools.product(("left", "right"), (LEG, ARM))}
+    kinds: list[set[Kind]] = [set() for _ in bones.names]
+    for kind, found in limbs.items():
+        for joint in {joint for limb in found for joint in bones.lines[limb[0]]}:
+            kinds[joint].add(kind)
+    most = max(map(len, kinds), default=0)
+    whole = {joint for joint, own in enumerate(kinds) if own and len(own) == most}
+    # The last joints that have all limbs below them: those of several people do not get mixed.
+    tops = whole - {above for joint in whole for above in bones.lines[joint][:-1]}
+    figures = sorted((_figure(bones, limbs, top) for top in tops), key=lambda one: (-one.evidence, one.top))
+    animals = {above for joint, words in enumerate(bones.words) if words.is_animal for above in bones.lines[joint]}
+    people = [figure for figure in figures if figure.top not in animals] or figures
+    return [one for one in people if one == people[0] or _is_another(bones, people[0], one)]
+
+
+def _figure(bones: Bones, limbs: Mapping[Kind, Mapping[Limb, float]], top: int) -> RigFigure:
+    """Returns the likeliest limbs below a joint."""
+    joints: dict[str, int] = {}
+    evidence = 0.0
+    for (side, roles), found in limbs.items():
+        own = [limb for limb in found if top in bones.lines[limb[0]]]
+        if own:
+            best = max(own, key=found.__getitem__)
+            joints |= {f"{side}_{role}": joint for role, joint in zip(roles, best, strict=True)}
+            evidence += found[best]
+    return RigFigure(top, joints, evidence)
+
+
+def _is_another(bones: Bones, best: RigFigure, other: RigFigure) -> bool:
+    """Returns whether a figure is as likely a person as the best one, and is at another place."""
+    if len(other.limbs) < 2 * len(LEG + ARM) or other.evidence < best.evidence / 2:
+        return False
+    places = [bones.offsets[list(bones.lines[figure.top])].sum(axis=0) for figure in (best, other)]
+    leg = bones.length(best.limbs["left_hip"], best.limbs["left_ankle"])
+    return bool(np.linalg.norm(places[0] - places[1]) > MIN_DISTANCE * leg)
+
+
+def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> dict[Limb, float]:
     """Returns the three joints of what may be a leg or an arm of a side -> how likely it is."""
     found = {}
     own = {joint for joint, words in enumerate(bones.words) if words.side == side and not words.is_helper}

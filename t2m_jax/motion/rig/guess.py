@@ -47,7 +47,7 @@ def _quoted(name: str) -> str:
 
 
 def _check(clip: RigClip, table: dict[str, str]) -> str:
-    """Returns a sentence about left and right, and whether this is a person."""
+    """Returns a sentence about left and right, and whether the clip is read without a table."""
     try:
         # Y up, so that a figure that lies is not refused: sides do not depend on it.
         right = float(left_is_left(retarget(clip, rig=table, up="y").positions).mean())
@@ -56,7 +56,7 @@ def _check(clip: RigClip, table: dict[str, str]) -> str:
     try:
         find_rig(clip, None)
     except UserError as error:
-        return f"NOT A PERSON: {error}"
+        return f"NOT READ WITHOUT THIS TABLE: {error}"
     if right > 0.5:
         return f"Left is left in {right:.0%} of the frames, as the knees bend and the feet point."
     return f"LEFT AND RIGHT ARE EXCHANGED in {1 - right:.0%} of the frames, as the knees bend and the feet point."

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.errors import UserError
-from t2m_jax.motion.rig.anatomy import Bones, find_joints, make_bones
+from t2m_jax.errors import UserError, printable
+from t2m_jax.motion.rig.anatomy import Bones, find_figures, find_joints, make_bones
 from t2m_jax.motion.rig.clip import MAX_JOINTS, RigClip
 from t2m_jax.motion.rig.placing import Joints
 from t2m_jax.motion.rig.rigs import OPTIONAL_JOINTS, Rig, find_table, match_rig, refusal
@@ -134,6 +134,16 @@ def unit_from_leg(leg: float) -> tuple[float, str]:
             return unit, "" if units is COMMON_UNITS else f"lengths are taken as {units[unit]}"
     unit = ADULT / height
     return unit, f"its unit is not known; the figure is scaled to a person of {ADULT} m (1 is {100 * unit:.3g} cm)"
+
+
+def check_is_one(bones: Bones) -> None:
+    """Raises `UserError` for a file with several people, of whom none is likelier than the others."""
+    people = [bones.names[figure.top] for figure in find_figures(bones)]
+    if len(people) > 1:
+        raise UserError(
+            f"the file seems to hold several people (below the joints {printable(', '.join(people))}); "
+            "`t2m data rig FILE` writes a table of one, to be checked and given as --rig"
+        )
 
 
 def check_is_person(bones: Bones, joints: Mapping[str, int], positions: Joints) -> None:

@@ -11,7 +11,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.clip import RigClip
 from t2m_jax.motion.rig.orientation import Up, find_up, stands_along_z_alone, to_y_up
 from t2m_jax.motion.rig.placing import Joints, place_joints
-from t2m_jax.motion.rig.recognition import check_is_person, clip_bones, recognize
+from t2m_jax.motion.rig.recognition import check_is_one, check_is_person, clip_bones, recognize
 from t2m_jax.motion.rig.rigs import DOLLS, RIGS, Rig, find_table, load_rig, make_rig, match_rig
 
 RigLike = Rig | str | Mapping[str, str | Sequence[str]]
@@ -86,10 +86,11 @@ def find_rig(clip: RigClip, rig: RigLike | None) -> Rig:
 
     Raises:
         UserError: The rig is unknown, no known rig has the joints of the clip and they were not recognized, or it is an
-            animal.
+            animal or several people.
     """
     if rig is None:
         found = find_table(clip.with_end_sites().joint_names) or recognize(clip)
+        check_is_one(clip_bones(clip))
         if not clip.is_person and found.name not in DOLLS:
             _check_is_person(clip, found)
         return found

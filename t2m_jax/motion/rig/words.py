@@ -105,7 +105,7 @@ def _fused_side(words: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
     """Returns the side in a name without signs, such as `leftarm`, `lthigh` or `armR`, and the words without it."""
     known = _vocabulary()
     whole = "".join(words)
-    # Such as `leg`, which does not begin with an l for left. Without another side, `larm` is a left arm, not a lower one.
+    # Such as `leg`, which does not begin with an l for left. Without another side, `larm` is the left arm.
     if whole in known and whole[1:] not in known:
         return "", words
     for side in _LONG_SIDES:

@@ -2,10 +2,15 @@
 
 import numpy as np
 import pytest
+import yaml
 
+from t2m_jax.cli.main import main
+from t2m_jax.errors import UserError
+from t2m_jax.motion.formats import load_motion
 from t2m_jax.motion.rig.anatomy import find_joints, make_bones
 from t2m_jax.motion.skeleton import HUMANML3D
-from tests.motion.rig.foreign import Joint
+from tests.motion.glb_files import GlbWriter, about_y
+from tests.motion.rig.foreign import Joint, bvh_of
 
 PLACES = {
     "pelvis": (0, 0.95, 0), "spine1": (0, 1.08, 0), "spine2": (0, 1.21, 0), "spine3": (0, 1.34, 0),
@@ -106,3 +111,54 @@ def test_a_limb_that_ends_early_is_not_guessed():
         leg="{s}Thigh=hip {s}Shin=knee {s}Guard=shin", arm="{s}Shoulder=collar {s}Arm=shoulder {s}ForeArm=elbow"
     )
     assert not recognized(joints)
+
+
+def two_people(*, gap, stretch=0.03):
+    """Returns the joints of two figures of slightly different build below one joint."""
+    generator = np.random.default_rng(0)
+    joints = [Joint("Scene", None, (0.0, 0.0, 0.0))]
+    for name, place in (("Alice", (0, 0, 0)), ("Bob", (gap, 0, 0))):
+        for joint in figure()[0]:
+            offset = np.array(joint.offset) * (1 + stretch * generator.normal())
+            top = joint.parent is None
+            parent = "Scene" if top else f"{name}_{joint.parent}"
+            joints.append(Joint(f"{name}_{joint.name}", parent, tuple(offset + np.array(place) * top)))
+    return joints
+
+
+def test_several_people_are_refused_and_not_mixed(tmp_path, capsys):
+    path, table = tmp_path / "pair.bvh", tmp_path / "one.yaml"
+    path.write_text(bvh_of(two_people(gap=1.0), {}, np.zeros((3, 3))))
+    with pytest.raises(UserError, match=r"pair\.bvh: the file seems to hold several people .*_Hips.*_Hips") as refusal:
+        load_motion(path)
+    assert "\n" not in str(refusal.value)
+    main(["data", "rig", str(path), "-o", str(table)])
+    names = yaml.safe_load(table.read_text()).values()
+    assert len(names) == 22 and len({name.partition("_")[0] for name in names}) == 1
+    assert np.ptp(load_motion(path, rig=str(table)).positions[0, :, 0]) < 2
+
+
+def test_people_without_a_common_joint_are_refused(tmp_path):
+    writer, numbers = GlbWriter(), {}
+    for joint in two_people(gap=1.0)[1:]:
+        numbers[joint.name] = writer.joint(joint.name, numbers.get(joint.parent), translation=list(joint.offset))
+    turns = [
+        (numbers[name], "rotation", [0, 1], about_y([0, 9]), "LINEAR", "f4") for name in ("Alice_Hips", "Bob_Hips")
+    ]
+    writer.animation("turn", turns)
+    with pytest.raises(UserError, match="seems to hold several people"):
+        load_motion(writer.save(tmp_path / "pair.glb"))
+
+
+def test_a_copy_at_the_same_place_is_the_same_person(tmp_path):
+    path = tmp_path / "controls.bvh"
+    path.write_text(bvh_of(two_people(gap=0.0, stretch=0.0), {}, np.zeros((3, 3))))
+    load_motion(path)
+
+
+def test_of_a_rider_and_a_horse_the_rider_is_read(tmp_path):
+    people = two_people(gap=1.0)
+    horse = [joint for joint in people if joint.name.startswith("Bob")]
+    tail = Joint("Bob_Tail", horse[0].name, (0.0, 0.0, -0.3))
+    found = recognized([*people, tail])
+    assert len(found) == 22 and all(name.startswith("Alice") for name in found.values())
