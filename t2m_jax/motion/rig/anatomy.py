@@ -194,6 +194,9 @@ def _toe(bones: Bones, found: Mapping[str, int], side: str) -> int | None:
 def _add_trunk(bones: Bones, found: dict[str, int]) -> None:
     """Adds spine, neck, head and collars."""
     chest = bones.meeting(found["left_shoulder"], found["right_shoulder"])
+    if "neck" in bones.words[chest].parts and chest != found["pelvis"]:
+        # In older files of 3ds Max, the arms hang on the neck.
+        chest = bones.lines[chest][-2]
     head = _head(bones, chest)
     if head is not None:
         above = bones.lines[head][bones.lines[head].index(chest) + 1 : -1]
@@ -205,7 +208,8 @@ def _add_trunk(bones: Bones, found: dict[str, int]) -> None:
             found["head"] = head
     for side in ("left", "right"):
         line = bones.lines[found[f"{side}_shoulder"]]
-        between = [joint for joint in line[line.index(chest) + 1 : -1] if not bones.words[joint].is_helper]
+        above = [joint for joint in line[line.index(chest) + 1 : -1] if joint != found.get("neck")]
+        between = [joint for joint in above if not bones.words[joint].is_helper]
         named = [joint for joint in between if "collar" in bones.words[joint].parts]
         if between:
             found[f"{side}_collar"] = (named or between)[-1]

@@ -77,6 +77,15 @@ RIGS = {
         "arm": "{s}_clav=collar {s}_arm_a=shoulder {s}_arm_b=elbow {s}_arm_c=wrist",
         "sides": ("l", "r"),
     },
+    "arms on the neck": {"arms_on": "neck"},
+    "arms without collars on the neck": {"arm": "{s}Arm=shoulder {s}ForeArm=elbow {s}Hand=wrist", "arms_on": "neck"},
+    "OpenPose": {
+        "trunk": "MidHip=pelvis Neck=neck",
+        "leg": "{s}Hip=hip {s}Knee=knee {s}Ankle=ankle {s}BigToe=foot",
+        "arm": "{s}Shoulder=shoulder {s}Elbow=elbow {s}Wrist=wrist",
+        "sides": ("L", "R"),
+        "arms_on": "neck",
+    },
     "arms in small letters": {
         "arm": "{s}clav=collar {s}arm=shoulder {s}forearm=elbow {s}hand=wrist",
         "sides": ("l", "r"),
