@@ -76,19 +76,26 @@ def make_bones(names: Sequence[str], parents: Sequence[int], offsets: Float[np.n
     reaches = np.zeros(len(parents))
     for joint, parent in enumerate(parents):
         reaches[joint] = reaches[parent] + lengths[joint] if parent >= 0 else 0.0
-    return Bones(names, offsets, _with_sides(read_names(names), lines), lines, reaches)
+    return Bones(names, offsets, _in_hierarchy(read_names(names), lines), lines, reaches)
 
 
-def _with_sides(words: Sequence[JointWords], lines: Sequence[Sequence[int]]) -> list[JointWords]:
-    """Returns the words of joints; one without a side gets that of the joints above and below it, if it is the same."""
+def _in_hierarchy(words: Sequence[JointWords], lines: Sequence[Sequence[int]]) -> list[JointWords]:
+    """Returns the words of joints, with what those above and below say.
+
+    A joint between two of a side is of this side. `leg_end` is an ankle if joints are below it, and a tip otherwise.
+    """
     below: list[set[str]] = [set() for _ in lines]
     for line in lines:
         for other in line[:-1]:
-            below[other] |= {words[line[-1]].side} - {""}
+            below[other] |= set() if words[line[-1]].is_end else {words[line[-1]].side}
     found = list(words)
     for joint, sides in enumerate(below):
+        if words[joint].is_end:
+            last = LEG[2] if words[joint].parts.keys() & set(LEG) else ARM[2]
+            found[joint] = dataclasses.replace(words[joint], parts={last: 2.0} if sides else {}, is_helper=not sides)
+        sides = sides - {""}
         if not words[joint].side and len(sides) == 1 and sides <= {words[other].side for other in lines[joint]}:
-            found[joint] = dataclasses.replace(words[joint], side=min(sides))
+            found[joint] = dataclasses.replace(found[joint], side=min(sides))
     return found
 
 
@@ -154,21 +161,26 @@ def _is_another(bones: Bones, best: RigFigure, other: RigFigure) -> bool:
 def _limbs(bones: Bones, side: str, roles: tuple[str, str, str]) -> dict[Limb, float]:
     """Returns the three joints of what may be a leg or an arm of a side -> how likely it is."""
     found = {}
-    own = {joint for joint, words in enumerate(bones.words) if words.side == side and not words.is_helper}
-    named = [joint for joint in own if roles[2] in bones.words[joint].parts]
+    words = {joint: one for joint, one in enumerate(bones.words) if one.side == side and not one.is_helper}
+    named = [joint for joint, one in words.items() if roles[2] in one.parts]
     # Without a hand or a foot, the lengths of bones tell where a limb ends: at a joint whose name says little.
-    for end in named or [joint for joint in own if max(bones.words[joint].parts.values(), default=0.0) < 1]:
-        above = [joint for joint in bones.lines[end][:-1] if joint in own][-MAX_LIMB:]
+    unclear = [joint for joint, one in words.items() if max(one.parts.values(), default=0.0) < 1]
+    tips = [joint for joint, one in enumerate(bones.words) if one.side == side and one.is_end and one.is_helper]
+    for end in named or unclear + tips:
+        above = [joint for joint in bones.lines[end][:-1] if joint in words][-MAX_LIMB:]
         for first, second in itertools.combinations(above, 2):
             chosen = (first, second, end)
             evidence = [bones.words[joint].parts.get(role, 0.0) for joint, role in zip(chosen, roles, strict=True)]
             upper, lower = bones.length(first, second), bones.length(second, end)
             # One of the upper joints may have a name that is not known, but not both.
-            if max(evidence[:2]) > 0 and min(upper, lower) > 0:
-                uneven = abs(float(np.log(upper / lower)))
-                # A bone that is half as long as the other costs as much as a clear name gives.
-                if named or uneven < MAX_UNEVEN:
-                    found[chosen] = sum(evidence) - 3 * uneven
+            if max(evidence[:2]) <= 0 or min(upper, lower) <= 0:
+                continue
+            uneven = abs(float(np.log(upper / lower)))
+            # A thigh of two segments begins at the first; a joint beside the hip may have its name, too.
+            late = sum(words[joint].parts == words[first].parts for joint in above[: above.index(first)])
+            # A bone that is half as long as the other costs as much as a clear name gives.
+            if named or uneven < MAX_UNEVEN:
+                found[chosen] = sum(evidence) - 3 * uneven - 0.4 * late
     return found
 
 

@@ -15,6 +15,8 @@ MAX_NAME = 200
 """Letters of a name that are read, after its namespace. What follows in a longer one says nothing of a joint."""
 MAX_BEGINNING = 40
 """Longest beginning that is searched."""
+_MARKS = ("helper", "end", "animal")
+"""What `words.yaml` has beside the parts of a person."""
 _LONG_SIDES = ("left", "right")
 
 
@@ -28,6 +30,8 @@ class JointWords:
     """Parts of the body -> how clearly the name means them, up to 2."""
     is_helper: bool
     """Whether it is no joint of the 22: a finger, a twist, an eye, a control."""
+    is_end: bool
+    """Whether it is where a bone ends: a tip, or the last joint of a numbered limb."""
     is_animal: bool
     """Whether people do not have it: a tail, a wing."""
 
@@ -88,17 +92,20 @@ def _read(words: tuple[str, ...]) -> JointWords:
         side, rest = _fused_side(letters)
     parts: dict[str, float] = {}
     whole = "".join(rest)
+    meanings = [known.get(word, {}) for word in (whole, *rest)]
     # The whole name says most (`upperleg`), then its last two words (`my_lower_arm`), its last, and any other.
     for text, weight in ((whole, 1.0), ("".join(rest[-2:]), 0.8), (rest[-1] if rest else "", 0.7)):
-        if text in known and not parts:
-            parts = {part: value * weight for part, value in known[text].items()}
+        parts = parts or _parts(known.get(text, {}), weight)
+    parts = parts or {part: value for meaning in meanings for part, value in _parts(meaning, 0.5).items()}
     # Also if a part is known: `hand_twist` is a helper.
-    meanings = [known.get(word, {}) for word in (whole, *rest)]
-    if not parts:
-        parts = {part: value * 0.5 for meaning in meanings for part, value in meaning.items()}
-    marks = {mark for meaning in meanings for mark in meaning if mark in ("helper", "animal")}
-    own = {part: value for part, value in parts.items() if part not in ("helper", "animal")}
-    return JointWords(side, own, "helper" in marks, "animal" in marks and "helper" not in marks)
+    marks = {mark for meaning in meanings for mark in meaning if mark in _MARKS}
+    is_helper = "helper" in marks
+    return JointWords(side, parts, is_helper, "end" in marks and not is_helper, "animal" in marks and not is_helper)
+
+
+def _parts(meaning: Mapping[str, float], weight: float) -> dict[str, float]:
+    """Returns the parts of the body that a word may mean, with weights."""
+    return {part: value * weight for part, value in meaning.items() if part not in _MARKS}
 
 
 def _fused_side(words: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:

@@ -14,11 +14,11 @@ from tests.motion.rig.foreign import Joint, bvh_of
 
 PLACES = {
     "pelvis": (0, 0.95, 0), "spine1": (0, 1.08, 0), "spine2": (0, 1.21, 0), "spine3": (0, 1.34, 0),
-    "neck": (0, 1.5, 0), "head": (0, 1.6, 0), "hip": (0.08, 0.9, 0), "knee": (0.08, 0.5, 0),
+    "neck": (0, 1.5, 0), "head": (0, 1.6, 0), "hip": (0.08, 0.9, 0), "knee": (0.08, 0.48, 0),
     "ankle": (0.08, 0.08, 0), "foot": (0.08, 0.02, 0.12), "collar": (0.03, 1.45, 0), "shoulder": (0.17, 1.45, 0),
     "elbow": (0.43, 1.45, 0), "wrist": (0.69, 1.45, 0),
     # No joints of HumanML3D.
-    "thigh": (0.08, 0.7, 0), "shin": (0.08, 0.29, 0), "arm": (0.3, 1.45, 0), "forearm": (0.56, 1.45, 0),
+    "thigh": (0.08, 0.69, 0), "shin": (0.08, 0.28, 0), "arm": (0.3, 1.45, 0), "forearm": (0.56, 1.45, 0),
     "throat": (0, 1.55, 0), "palm": (0.78, 1.45, 0),
 }  # fmt: skip
 """Places in meters for the joints of the middle and of the left."""
@@ -76,6 +76,16 @@ RIGS = {
         "leg": "{s}_leg_a=hip {s}_leg_b=knee {s}_leg_c=ankle {s}_leg_d=foot",
         "arm": "{s}_clav=collar {s}_arm_a=shoulder {s}_arm_b=elbow {s}_arm_c=wrist",
         "sides": ("l", "r"),
+    },
+    "legs and arms of four segments": {
+        "leg": "{s}_Leg1=hip {s}_Leg2=thigh {s}_Leg3=knee {s}_Leg4=shin {s}_Foot=ankle {s}_Toe=foot",
+        "arm": "{s}_Collar=collar {s}_Arm1=shoulder {s}_Arm2=arm {s}_Arm3=elbow {s}_Arm4=forearm {s}_Hand=wrist",
+        "sides": ("L", "R"),
+    },
+    "mGear": {
+        "leg": "leg_{s}0_0=hip leg_{s}0_1=thigh leg_{s}0_2=knee leg_{s}0_3=shin leg_{s}0_end=ankle foot_{s}0_0=foot",
+        "arm": "arm_{s}0_0=shoulder arm_{s}0_1=arm arm_{s}0_2=elbow arm_{s}0_3=forearm arm_{s}0_end=wrist",
+        "sides": ("L", "R"),
     },
     "arms on the neck": {"arms_on": "neck"},
     "arms without collars on the neck": {"arm": "{s}Arm=shoulder {s}ForeArm=elbow {s}Hand=wrist", "arms_on": "neck"},
