@@ -143,7 +143,8 @@ def _figure(bones: Bones, limbs: Mapping[Kind, Mapping[Limb, float]], top: int) 
     for (side, roles), found in limbs.items():
         own = [limb for limb in found if top in bones.lines[limb[0]]]
         if own:
-            best = max(own, key=found.__getitem__)
+            # Of joints at one place, the one on which others hang: controls may have bones of the mesh below them.
+            best = max(own, key=lambda limb: (round(found[limb], 3), len(bones.below(limb[2]))))
             joints |= {f"{side}_{role}": joint for role, joint in zip(roles, best, strict=True)}
             evidence += found[best]
     return RigFigure(top, joints, evidence)

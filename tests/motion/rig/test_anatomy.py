@@ -132,6 +132,16 @@ def test_a_limb_that_ends_early_is_not_guessed():
     assert not recognized(joints)
 
 
+def test_of_joints_at_one_place_those_with_more_below_them_are_taken():
+    """Such as the bones of a mesh below those of an animator."""
+    joints, roles = figure()
+    controls = [Joint(f"ORG-{one.name}", one.parent and f"ORG-{one.parent}", one.offset) for one in joints]
+    mesh = [Joint(f"DEF-{one.name}", f"ORG-{one.name}", (0, 1e-6, 0)) for one in joints]
+    found = recognized(controls + mesh)
+    assert found.keys() == roles.keys()
+    assert found["left_ankle"] == "ORG-LeftFoot"
+
+
 def two_people(*, gap, stretch=0.03):
     """Returns the joints of two figures of slightly different build below one joint."""
     generator = np.random.default_rng(0)
