@@ -18,6 +18,8 @@ MAX_LIMB = 16
 """Most joints of one line from the trunk to a tip that are compared."""
 MAX_UNEVEN = 0.4
 """Largest ratio of the two bones of a limb whose end has no known name (logarithm); people have up to 0.25."""
+HEAD_UP = 0.24
+"""A head is higher above the shoulders than this part of the trunk, and a neck is not."""
 MIN_DISTANCE = 0.2
 """Two figures whose tops are nearer than this part of a leg are the same person."""
 MIN_TIP = 0.05
@@ -211,8 +213,10 @@ def _add_trunk(bones: Bones, found: dict[str, int]) -> None:
         # In older files of 3ds Max, the arms hang on the neck.
         chest = bones.lines[chest][-2]
     head = _head(bones, chest)
-    if head is not None:
-        above = bones.lines[head][bones.lines[head].index(chest) + 1 : -1]
+    above = bones.lines[head][bones.lines[head].index(chest) + 1 : -1] if head is not None else []
+    if head is not None and not above and _is_above_neck(bones, found, chest, head):
+        found["head"] = head
+    elif head is not None:
         necks = [joint for joint in above if "neck" in bones.words[joint].parts] or above
         # A neck of length zero only marks the end of the chest. Without a neck, the head begins there.
         long = [joint for joint in necks if np.any(bones.offsets[joint] != 0)]
@@ -227,6 +231,19 @@ def _add_trunk(bones: Bones, found: dict[str, int]) -> None:
         if between:
             found[f"{side}_collar"] = (named or between)[-1]
     _add_spine(bones, found, chest)
+
+
+def _is_above_neck(bones: Bones, found: Mapping[str, int], chest: int, head: int) -> bool:
+    """Returns whether a joint on the chest is where the head begins, and not the neck."""
+    # The joint `torso_head` is between both.
+    if bones.words[head].parts.get("head", 0.0) < 2:
+        return False
+    lines = [bones.lines[found[f"{side}_shoulder"]] for side in ("left", "right")]
+    # All three are in the frame of the chest. The neck is above the shoulders by 0.08 of the trunk, the head by 0.28.
+    middle = np.mean([bones.offsets[line[line.index(chest) + 1]] for line in lines], axis=0)
+    start = bones.meeting(chest, found["pelvis"])
+    trunk = bones.length(start, chest) + float(np.linalg.norm(middle))
+    return float(np.linalg.norm(bones.offsets[head] - middle)) > HEAD_UP * trunk
 
 
 def _head(bones: Bones, chest: int) -> int | None:

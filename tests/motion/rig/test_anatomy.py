@@ -87,6 +87,12 @@ RIGS = {
         "arm": "arm_{s}0_0=shoulder arm_{s}0_1=arm arm_{s}0_2=elbow arm_{s}0_3=forearm arm_{s}0_end=wrist",
         "sides": ("L", "R"),
     },
+    "Kinect": {
+        "trunk": "HipCenter=pelvis Spine=spine2 ShoulderCenter=spine3 Head=head",
+        "leg": "Hip{s}=hip Knee{s}=knee Ankle{s}=ankle Foot{s}=foot",
+        "arm": "Shoulder{s}=shoulder Elbow{s}=elbow Wrist{s}=wrist Hand{s}=palm",
+    },
+    "a head at the place of the neck": {"trunk": "Hips=pelvis Spine=spine2 Spine1=spine3 Head=neck"},
     "arms on the neck": {"arms_on": "neck"},
     "arms without collars on the neck": {"arm": "{s}Arm=shoulder {s}ForeArm=elbow {s}Hand=wrist", "arms_on": "neck"},
     "OpenPose": {
