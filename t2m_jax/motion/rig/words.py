@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,9 +16,13 @@ MAX_NAME = 200
 """Letters of a name that are read, after its namespace. What follows in a longer one says nothing of a joint."""
 MAX_BEGINNING = 40
 """Longest beginning that is searched."""
+MIN_FUSED = 4
+"""Letters of the shortest word for a side that is also found without a sign between it and others."""
 _MARKS = ("helper", "end", "animal")
 """What `words.yaml` has beside the parts of a person."""
-_LONG_SIDES = ("left", "right")
+_UPPER, _LOWER = "A-ZÀ-ÖØ-ÞА-ЯЁ", "a-zß-öø-ÿа-яё"
+_WORD = re.compile(rf"[{_UPPER}]?[{_LOWER}]+|[{_UPPER}]+(?![{_LOWER}])|\d+|[^\W\d_{_UPPER}{_LOWER}]+")
+"""A word of a name: `Left`, `Arm`, `IK`, `01`, `左足`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,9 +53,9 @@ def _vocabulary() -> dict[str, dict[str, float]]:
 
 
 @functools.cache
-def _sides() -> dict[str, str]:
+def _sides(section: str = "sides") -> dict[str, str]:
     """Returns the side that each word for a side means, from `words.yaml`."""
-    table = load_yaml(Path(__file__).with_name("words.yaml")).data["sides"]
+    table = load_yaml(Path(__file__).with_name("words.yaml")).data[section]
     return {word: side for side, words in table.items() for word in words.split()}
 
 
@@ -58,8 +63,11 @@ def read_names(joint_names: Sequence[str]) -> list[JointWords]:
     """Returns what each name says. Words and beginnings that most names share are left out."""
     # Namespaces are before a colon, as in `mixamorig:Hips`.
     short = _without_shared_beginning([name.rpartition(":")[2][:MAX_NAME] for name in joint_names])
-    words = [[word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name)] for name in short]
+    # With full-width letters as others, and accents as parts of letters.
+    words = [[word.lower() for word in _WORD.findall(unicodedata.normalize("NFKC", name))] for name in short]
     uses = Counter(word for parts in words for word in set(parts))
+    if not uses.keys() & _sides().keys():
+        words = [[_sides("initials").get(word, word) for word in parts] for parts in words]
     # The hands of a figure with all fingers are in most names, too.
     common = (
         {word for word, count in uses.items() if count > MOST * len(words)} - _sides().keys() - _vocabulary().keys()
@@ -115,13 +123,14 @@ def _fused_side(words: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
     # Such as `leg`, which does not begin with an l for left. Without another side, `larm` is the left arm.
     if whole in known and whole[1:] not in known:
         return "", words
-    for side in _LONG_SIDES:
-        for rest in (whole.removeprefix(side), whole.removesuffix(side)):
-            if rest and rest != whole:
-                return side, (rest,)
-    for letter, side in (("l", "left"), ("r", "right")):
-        for text, others, at_start in ((words[0], words[1:], True), (words[-1], words[:-1], False)):
-            rest = text.removeprefix(letter) if at_start else text.removesuffix(letter)
-            if rest != text and (rest in known or "".join((rest, *others) if at_start else (*others, rest)) in known):
-                return side, (rest, *others) if at_start else (*others, rest)
+    for word, side in _sides().items():
+        for end, others in (
+            (0, (words[0].removeprefix(word), *words[1:])),
+            (-1, (*words[:-1], words[-1].removesuffix(word))),
+        ):
+            # `leftarm` and `左腕`. Short words are often the beginning of others, so the rest must be known: `lthigh`.
+            is_sure = len(word) >= MIN_FUSED or word > "\u3000"
+            is_known = word in ("l", "r") and (others[end] in known or "".join(others) in known)
+            if others != words and all(others) and (is_sure or is_known):
+                return side, others
     return "", words

@@ -109,6 +109,58 @@ RIGS = {
 }
 
 
+LANGUAGES = {
+    "Chinese": (
+        "骨盆=pelvis 脊椎=spine2 胸部=spine3 脖子=neck 头=head", "{s}大腿=hip {s}小腿=knee {s}脚=ankle {s}脚趾=foot",
+        "{s}锁骨=collar {s}上臂=shoulder {s}前臂=elbow {s}手=wrist", ("左", "右"),
+    ),
+    "French": (
+        "bassin=pelvis torse=spine3 cou=neck tête=head",
+        "cuisse_{s}=hip jambe_{s}=knee pied_{s}=ankle orteils_{s}=foot",
+        "clavicule_{s}=collar bras_{s}=shoulder avant_bras_{s}=elbow main_{s}=wrist", ("g", "d"),
+    ),
+    "German": (
+        "Hüfte=pelvis Brust=spine3 Hals=neck Kopf=head",
+        "Oberschenkel.{s}=hip Unterschenkel.{s}=knee Fuß.{s}=ankle Zehen.{s}=foot",
+        "Schulter.{s}=collar Oberarm.{s}=shoulder Unterarm.{s}=elbow Hand.{s}=wrist", ("links", "rechts"),
+    ),
+    "Italian": (
+        "bacino=pelvis torace=spine3 collo=neck testa=head", "coscia_{s}=hip gamba_{s}=knee piede_{s}=ankle",
+        "clavicola_{s}=collar braccio_{s}=shoulder avambraccio_{s}=elbow mano_{s}=wrist", ("sx", "dx"),
+    ),
+    "Japanese, in MikuMikuDance": (
+        "センター=pelvis 上半身=spine1 上半身２=spine3 首=neck 頭=head",
+        "{s}足=hip {s}ひざ=knee {s}足首=ankle {s}つま先=foot",
+        "{s}肩=collar {s}腕=shoulder {s}ひじ=elbow {s}手首=wrist", ("左", "右"),
+    ),
+    "Korean": (
+        "골반=pelvis 척추=spine2 가슴=spine3 목=neck 머리=head",
+        "{s}허벅지=hip {s}종아리=knee {s}발=ankle {s}발가락=foot",
+        "{s}쇄골=collar {s}위팔=shoulder {s}아래팔=elbow {s}손=wrist", ("왼쪽", "오른쪽"),
+    ),
+    "Portuguese": (
+        "quadril=pelvis peito=spine3 pescoço=neck cabeça=head",
+        "coxa_{s}=hip canela_{s}=knee pé_{s}=ankle ponta_{s}=foot",
+        "clavicula_{s}=collar braço_{s}=shoulder antebraço_{s}=elbow mão_{s}=wrist", ("esq", "dir"),
+    ),
+    "Russian": (
+        "Таз=pelvis Грудь=spine3 Шея=neck Голова=head", "Бедро_{s}=hip Голень_{s}=knee Стопа_{s}=ankle Носок_{s}=foot",
+        "Ключица_{s}=collar Плечо_{s}=shoulder Предплечье_{s}=elbow Кисть_{s}=wrist", ("Л", "П"),
+    ),
+    "Spanish": (
+        "cadera=pelvis pecho=spine3 cuello=neck cabeza=head", "muslo_{s}=hip pantorrilla_{s}=knee pie_{s}=ankle",
+        "clavicula_{s}=collar brazo_{s}=shoulder antebrazo_{s}=elbow mano_{s}=wrist", ("izq", "der"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_names_may_be_of_other_languages(language):
+    *chains, sides = LANGUAGES[language]
+    joints, roles = figure(*chains, sides=sides)
+    assert recognized(joints) == roles
+
+
 @pytest.mark.parametrize("name", RIGS)
 def test_joints_are_recognized(name):
     joints, roles = figure(**RIGS[name])
