@@ -25,7 +25,10 @@ def one_line(text: str) -> str:
     """Returns a text as one printable line; if it is too long, its middle is left out."""
     line = printable(" ".join(text.splitlines()))
     half = (MAX_LINE - len(GAP)) // 2
-    return line if len(line) <= MAX_LINE else f"{line[:half]}{GAP}{line[-half:]}"
+    if len(line) <= MAX_LINE:
+        return line
+    # Between words, if there are any.
+    return f"{line[:half].rpartition(' ')[0] or line[:half]}{GAP}{line[-half:].partition(' ')[2] or line[-half:]}"
 
 
 class UserError(ValueError):
