@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -126,7 +127,7 @@ def find_figures(bones: Bones) -> list[RigFigure]:
     limbs = {kind: _limbs(bones, *kind) for kind in itertools.product(("left", "right"), (LEG, ARM))}
     kinds: list[set[Kind]] = [set() for _ in bones.names]
     for kind, found in limbs.items():
-        for joint in {joint for limb in found for joint in bones.lines[limb[0]]}:
+        for joint in {above for first in {limb[0] for limb in found} for above in bones.lines[first]}:
             kinds[joint].add(kind)
     most = max(map(len, kinds), default=0)
     whole = {joint for joint, own in enumerate(kinds) if own and len(own) == most}
@@ -142,11 +143,13 @@ def _figure(bones: Bones, limbs: Mapping[Kind, Mapping[Limb, float]], top: int) 
     """Returns the likeliest limbs below a joint."""
     joints: dict[str, int] = {}
     evidence = 0.0
+    below = {top, *bones.below(top)}
+    hanging = Counter(above for line in bones.lines for above in line)
     for (side, roles), found in limbs.items():
-        own = [limb for limb in found if top in bones.lines[limb[0]]]
+        own = [limb for limb in found if limb[0] in below]
         if own:
             # Of joints at one place, the one on which others hang: controls may have bones of the mesh below them.
-            best = max(own, key=lambda limb: (round(found[limb], 3), len(bones.below(limb[2]))))
+            best = max(own, key=lambda limb: (round(found[limb], 3), hanging[limb[2]]))
             joints |= {f"{side}_{role}": joint for role, joint in zip(roles, best, strict=True)}
             evidence += found[best]
     return RigFigure(top, joints, evidence)
