@@ -242,6 +242,6 @@ TRAINER = Trainer(
     config=TrainEvaluatorConfig,
     prepare=prepare,
     resolve=resolve,
-    next_command="t2m evaluate generation --data {data} --evaluator {run}",
+    next_command="t2m evaluate generation --data {data} --evaluator {run} --model demo",
 )
 """The entry point `evaluator`."""

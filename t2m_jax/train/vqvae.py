@@ -234,9 +234,13 @@ def make_validation(config: TrainVqVaeConfig, dataset: Dataset, normalizer: Norm
     return Validation(make_bank(clips, normalizer), len(clips), measure, plan)
 
 
-TRAINER = Trainer(config=TrainVqVaeConfig, prepare=prepare, next_command="t2m train gpt CONFIG --vqvae {run}")
+TRAINER = Trainer(
+    config=TrainVqVaeConfig, prepare=prepare, next_command="t2m train gpt t2m-gpt/gpt --data {data} --vqvae {run}"
+)
 """The entry point `vqvae`."""
 RESIDUAL_TRAINER = Trainer(
-    config=TrainRvqVaeConfig, prepare=prepare, next_command="t2m train hifigpt CONFIG --vqvae {run}"
+    config=TrainRvqVaeConfig,
+    prepare=prepare,
+    next_command="t2m train hifigpt hifigpt/hifigpt --data {data} --vqvae {run}",
 )
 """The entry point `rvqvae`."""

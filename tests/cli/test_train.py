@@ -97,6 +97,7 @@ def test_a_run_of_another_kind_is_refused(refusal, config_file):
 def test_the_command_says_what_to_run_next(config_file, trained, capsys):
     assert main(["train", "vqvae", f"{config_file}"]) == 0
     said = capsys.readouterr()
-    run = load_config(config_file, TrainVqVaeConfig).run
+    config = load_config(config_file, TrainVqVaeConfig)
+    run = config.run
     assert said.out == f"{run}\n"
-    assert said.err.splitlines()[-1] == f"next: t2m train gpt CONFIG --vqvae {run}"
+    assert said.err.splitlines()[-1] == f"next: t2m train gpt t2m-gpt/gpt --data {config.data} --vqvae {run}"
