@@ -309,11 +309,12 @@ def test_groups_may_be_folders(tmp_path):
 def test_splits_may_be_given(tmp_path):
     source, lists = write_clips(tmp_path / "source", ["a", "b", "c"]), tmp_path / "lists"
     lists.mkdir()
-    for split, names in (("train", "a\n"), ("val", "b\n"), ("test", "")):
+    for split, names in (("train", "a\n"), ("val", "b\n"), ("test", "ghost\n")):
         (lists / f"{split}.txt").write_text(names)
     report = import_bvh_folder(source, tmp_path / "data", caption_from_name=True, split=lists)
     assert report.split_sizes == {"train": 2, "val": 2, "test": 0}
     assert "c is in no list" in report.left_out["c"]
+    assert report.notes == (f"{lists}: 1 listed clips are no motion: ghost",)
     (lists / "test.txt").write_text("a\n")
     with pytest.raises(UserError, match="a is in two lists"):
         import_bvh_folder(source, tmp_path / "again", caption_from_name=True, split=lists)

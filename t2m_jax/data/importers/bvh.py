@@ -313,5 +313,6 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
         if convert.entries:
             save_index(folder, convert.entries)
-    notes = (*table.notes, *unread_columns(table, given.split_by), *convert.notes(), *unused)
+    found = (*unread_columns(table, given.split_by), *division.absent(convert.motions))
+    notes = (*table.notes, *found, *convert.notes(), *unused)
     return ImportReport(sum(sizes.values()), convert.num_frames, sizes, convert.left_out, notes)

@@ -3,10 +3,11 @@
 import dataclasses
 import functools
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from t2m_jax.data.files import SPLITS, read_names
+from t2m_jax.data.folder import first_names
 from t2m_jax.data.importers.caption_files import Source, clip_name
 from t2m_jax.data.importers.caption_table import SPLIT, CaptionTable, find_entries
 from t2m_jax.data.importers.table_parts import TablePart
@@ -81,6 +82,11 @@ class Division:
         if twice:
             raise UserError(f"{self.split}: {twice[0]} is in two lists or twice in one; name each clip once")
         return {clip_name(name): split for split, name in listed}
+
+    def absent(self, names: Iterable[str]) -> list[str]:
+        """Returns a line about the listed clips that are not among some, if there are any."""
+        absent = sorted(self._homes.keys() - set(names)) if Path(self.split).is_dir() else []
+        return [f"{self.split}: {len(absent)} listed clips are no motion: {first_names(absent)}"] if absent else []
 
     def group(self, motion: Source, part: TablePart) -> str:
         """Returns what a clip has in common with those that stay in its split, or the split itself if it is given.
