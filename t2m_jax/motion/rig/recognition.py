@@ -142,7 +142,7 @@ def check_is_one(bones: Bones) -> None:
     if len(people) > 1:
         raise UserError(
             f"the file seems to hold several people (below the joints {printable(', '.join(people))}); "
-            "`t2m data rig FILE` writes a table of one, to be checked and given as --rig"
+            "`t2m data rig FILE` writes the best guess of a table, to be checked and given as --rig"
         )
 
 
