@@ -217,8 +217,9 @@ def _undone(words: Sequence[Word], actions: Collection[str]) -> str:
     """Returns a known action that a prompt says is not done, "" if there is none."""
     for place, word in enumerate(words):
         before = clause_before(words, place)
-        is_prohibited = before[-1:] == ["no"] and word.text.endswith("ing")
-        if word.action in actions and (is_prohibited or not NOT.isdisjoint(before[-2:])):
+        # Behind "no", it is a noun: "no jumping".
+        is_prohibited = before[-1:] == ["no"] and word.text.endswith("ing") and not word.bases.isdisjoint(actions)
+        if is_prohibited or (word.action in actions and not NOT.isdisjoint(before[-2:])):
             return word.text
     return ""
 

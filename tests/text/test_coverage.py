@@ -83,6 +83,8 @@ def test_a_warning_names_what_has_no_effect_and_what_the_model_knows(demo, promp
         ("a person does not walk", "not walk: words like 'not' have no effect"),
         ("a person doesn't walk, he stands", "not walk: words like 'not' have no effect"),
         ("nobody waves", "not waves: "),
+        ("no jumping", "not jumping: words like 'not' have no effect"),
+        ("a person with no shoes walks", ""),
         ("he walks without stopping", ""),
         ("a person runs, not too fast", ""),
         ("a person jumps 0 times", "0 times: numbers of times from 1 to 20 are counted"),
