@@ -289,8 +289,7 @@ def _no_action(words: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
     texts = [sentence_of(words, place, longest=longest) for place in places for longest in (MAX_OBJECT, LONG_OBJECT)]
     found = [knowledge.meanings.nearest(text) for text in dict.fromkeys([*texts, _joined(words)])]
     if not any(near.is_same for near in found):
-        # What is nearest to a text without a verb says nothing.
-        named = f"; nearest: {', '.join(found[0].actions)}" if places else ""
+        named = f"; nearest: {', '.join(found[0].actions)}" if found[0].is_near else ""
         yield f"it has no action that the model knows{named}"
 
 

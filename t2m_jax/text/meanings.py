@@ -13,6 +13,8 @@ from t2m_jax.text.verbs import CLAUSE_STARTS, PREPOSITIONS, Word, inflected
 SAME_MEANING = 0.62
 """Cosine of two actions that mean the same for a model: "strolls" and "walks" have 0.85, "jogs" and "runs" 0.74. Of 36
 actions that no model here knows, such as "plays the piano", one had more with any of 34 known ones (MiniLM)."""
+NEAR_MEANING = 0.4
+"""Cosine from which on an action is worth naming: "applause" has 0.55 with "claps", and "happy" 0.32 with any."""
 NUM_NAMED = 2
 """Actions that are named as the nearest ones."""
 NUM_COMPARED = 3
@@ -36,6 +38,8 @@ class Nearest(NamedTuple):
     """In the third person, the nearest first."""
     is_same: bool
     """Whether the first means the same."""
+    is_near: bool
+    """Whether the first means something like it."""
 
 
 class Meanings:
@@ -86,7 +90,7 @@ class Meanings:
     def nearest(self, sentence: str) -> Nearest:
         """Returns the known actions that are nearest to what a sentence says, such as "a person plays the piano"."""
         if not self._actions:
-            return Nearest((), is_same=False)
+            return Nearest((), is_same=False, is_near=False)
         names, known = self._known
         query = self._unit([sentence])[0]
         cosines = known @ query
@@ -94,7 +98,8 @@ class Meanings:
         is_same = cosines.max() >= SAME_MEANING
         if self._learned and not is_same:
             is_same = (self._learned_vectors @ query).max() >= SAME_MEANING
-        return Nearest(tuple(names[place] for place in order[:NUM_NAMED]), bool(is_same))
+        named = tuple(names[place] for place in order[:NUM_NAMED])
+        return Nearest(named, bool(is_same), bool(cosines.max() >= NEAR_MEANING))
 
     def missing(self, sentence: str) -> str:
         """Returns which of the missing sentences one is nearest to; "" if it is nearer to those that were learned."""

@@ -63,7 +63,7 @@ def test_a_sentence_without_a_verb_that_tells_it_is_compared_as_a_whole(encoder)
     knowledge = Knowledge(words, actions, meanings)
     assert warning("a person makes his way ahead", knowledge) == ""
     said = warning("a person is having dinner", knowledge)
-    assert "it has no action that the model knows; nearest: " in said
+    assert "it has no action that the model knows; the model knows" in said, "nothing is near"
 
 
 @pytest.mark.parametrize("prompt", ["gets up", "a person gets up off the floor", "trudging along", "a man marches off"])
@@ -79,8 +79,12 @@ def test_actions_with_verbs_that_say_nothing_and_rare_gaits_are_known(encoder, p
     )
 
 
-def test_nothing_is_nearest_to_a_text_without_a_verb(knowledge):
-    assert "nearest" not in warning("the hand", knowledge) and "no action" in warning("the hand", knowledge)
+@pytest.mark.parametrize(
+    ("prompt", "nearest"), [("the hand", ""), ("with his", ""), ("applause", "; nearest: claps, ")]
+)
+def test_only_what_is_near_is_named(knowledge, prompt, nearest):
+    said = warning(prompt, knowledge._replace(words=WORDS | {"applause"}))
+    assert f"it has no action that the model knows{nearest or ';'}" in said and ("nearest" in said) == bool(nearest)
 
 
 def _axis(sentence):
@@ -170,7 +174,7 @@ def test_embeddings_do_not_depend_on_the_batch(encoder):
 
 def test_without_actions_nothing_is_near():
     meanings = Meanings((), lambda sentences: 1 / 0)
-    assert meanings.nearest("a person swims") == Nearest((), is_same=False)
+    assert meanings.nearest("a person swims") == Nearest((), is_same=False, is_near=False)
     said = warning("a person swims", Knowledge(WORDS, (), meanings))
     assert said == "'a person swims': not learned, so without effect: swims"
 
