@@ -109,11 +109,11 @@ def run(args: argparse.Namespace) -> None:
     report = args.run_command(args)
     if report is None:
         return
-    from t2m_jax.data.files import read_names
+    from t2m_jax.data.files import MIRROR_PREFIX, read_names
 
     sizes = ", ".join(f"{split} {size}" for split, size in report.split_sizes.items())
     names = frozenset().union(*(read_names(args.destination / f"{split}.txt") for split in report.split_sizes))
-    twins = "; with mirrored twins" if any(f"M{name}" in names for name in names) else ""
+    twins = "; with mirrored twins" if any(f"{MIRROR_PREFIX}{name}" in names for name in names) else ""
     _show(f"{args.destination}: {report.num_clips} clips ({report.num_frames} frames{twins}): {sizes}")
     _print_lines(report.notes, indent="  ")
     if report.left_out:

@@ -33,7 +33,7 @@ def load_amass(path: Path) -> RigClip:
     """
     archive = load_archive(path)
     if not is_amass(archive.keys()):
-        raise UserError(f"{path}: has no entries 'poses' and 'trans', as files of AMASS have")
+        raise UserError(f"{path}: has no rotations of SMPL, such as the entry 'poses' in files of AMASS")
     return clip_from_amass(path, archive)
 
 

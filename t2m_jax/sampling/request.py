@@ -5,9 +5,9 @@ import functools
 import itertools
 import logging
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from t2m_jax.errors import UserError
 from t2m_jax.field_checks import check_seed
@@ -27,6 +27,8 @@ from t2m_jax.text.sequence import split_sequence
 from t2m_jax.text.spelling import correct_spelling
 
 logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 MAX_SAMPLES = 1_000_000
 """Most motions of a request. A larger number is probably a mistake: they would take weeks and 100 GB."""
@@ -188,30 +190,26 @@ class MotionRequest:
     @functools.cached_property
     def lengths(self) -> tuple[float | None, ...]:
         """Seconds of each sentence: `seconds`, or what it says itself; None leaves its length to the model."""
-        if self.seconds is not None or not self.reads_quantities:
-            return (self.seconds,) * len(self.captions)
-        return tuple(map(said_seconds, self.captions))
+        return self._said(said_seconds) if self.seconds is None else (self.seconds,) * len(self.captions)
 
     @functools.cached_property
     def times(self) -> tuple[Times | None, ...]:
         """How often each sentence says that something is done; None if it does not say so."""
-        if not self.reads_quantities:
-            return (None,) * len(self.captions)
-        return tuple(said_times(caption, COUNTED_ACTIONS) for caption in self.captions)
+        return self._said(functools.partial(said_times, countable=COUNTED_ACTIONS))
 
     @functools.cached_property
     def paces(self) -> tuple[SaidPace | None, ...]:
         """Whether each sentence says that something is done slowly or fast."""
-        if not self.reads_quantities:
-            return (None,) * len(self.captions)
-        return tuple(map(said_pace, self.captions))
+        return self._said(said_pace)
 
     @functools.cached_property
     def sides(self) -> tuple[SaidSide | None, ...]:
         """With which leg or arm each sentence says that something is done."""
-        if not self.reads_quantities:
-            return (None,) * len(self.captions)
-        return tuple(said_side(caption, SIDED_ACTIONS) for caption in self.captions)
+        return self._said(functools.partial(said_side, sided=SIDED_ACTIONS))
+
+    def _said(self, read: Callable[[str], T | None]) -> tuple[T | None, ...]:
+        """Returns what a function reads in each sentence, None for all if quantities are not read."""
+        return tuple(map(read, self.captions)) if self.reads_quantities else (None,) * len(self.captions)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from t2m_jax.text.counts import uncounted
-from t2m_jax.text.meanings import LONG_OBJECT, MAX_OBJECT, Embed, Meanings, Nearest, sentence_of
+from t2m_jax.text.meanings import Embed, Meanings, Nearest, sentence_of
 from t2m_jax.text.paces import GAITS
 from t2m_jax.text.path_shapes import find_path_shape
 from t2m_jax.text.quantities import quantity_words, unread_amounts
@@ -286,7 +286,7 @@ def _no_action(words: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
         return
     # "Gets up" and "gives a round of applause" are actions, although their verbs say nothing.
     places = [place for place, word in enumerate(words) if word.action][:MAX_NAMED]
-    texts = [sentence_of(words, place, longest=longest) for place in places for longest in (MAX_OBJECT, LONG_OBJECT)]
+    texts = [sentence_of(words, place, is_long=is_long) for place in places for is_long in (False, True)]
     found = [knowledge.meanings.nearest(text) for text in dict.fromkeys([*texts, _joined(words)])]
     if not any(near.is_same for near in found):
         named = f"; nearest: {', '.join(found[0].actions)}" if found[0].is_near else ""

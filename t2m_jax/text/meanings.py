@@ -26,7 +26,7 @@ ACTIVITY_MARGIN = 0.05
 MAX_OBJECT = 3
 """Words after a verb that say what is done: "plays the piano"."""
 LONG_OBJECT = 5
-"""The same with a place, and with prepositions: "gives them a round of applause"."""
+"""The same in a long sentence."""
 
 Embed = Callable[[Sequence[str]], Float[Array | np.ndarray, "B E"]]
 
@@ -124,12 +124,13 @@ def _mean_of_best(cosines: Float[np.ndarray, " S"], count: int) -> float:
     return float(np.sort(cosines)[-count:].mean())
 
 
-def sentence_of(words: Sequence[Word], place: int, *, longest: int = MAX_OBJECT) -> str:
+def sentence_of(words: Sequence[Word], place: int, *, is_long: bool = False) -> str:
     """Returns a plain sentence about the action at a place in a caption: "a person plays the piano".
 
-    It has up to `longest` words after the verb, and prepositions if that is more than `MAX_OBJECT`.
+    A long one goes on after prepositions: "a person gives them a round of applause".
     """
-    ends = CLAUSE_STARTS if longest > MAX_OBJECT else CLAUSE_STARTS | PREPOSITIONS
+    longest = LONG_OBJECT if is_long else MAX_OBJECT
+    ends = CLAUSE_STARTS if is_long else CLAUSE_STARTS | PREPOSITIONS
     rest = []
     for word in words[place + 1 : place + 1 + longest]:
         # A second verb is not the object of the first one.

@@ -53,7 +53,7 @@ class PathShape(NamedTuple):
 
 
 def find_path_shape(caption: str) -> PathShape | None:
-    """Returns the shape of the path that a caption asks for; None if it asks for none."""
+    """Returns the shape of the path that a caption asks for, or its being in place; None if it asks for none."""
     text = caption.lower()
     for pattern, name in _SAME:
         text = re.sub(pattern, name, text)

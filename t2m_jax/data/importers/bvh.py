@@ -22,9 +22,8 @@ from t2m_jax.data.importers.caption_files import (
     unused_entries,
 )
 from t2m_jax.data.importers.caption_table import (
-    ACTION,
     DIGEST,
-    PERSON,
+    OWN_COLUMNS,
     SPLIT,
     CaptionEntry,
     CaptionTable,
@@ -88,9 +87,9 @@ def _find_up(path: Path, clip: RigClip, table: Rig) -> Literal["y", "z"]:
     return up_of_smpl(clip) if suffix == ".npz" else clip_up(clip, table)
 
 
-def unread_columns(table: CaptionTable, split_by: str | None) -> list[str]:
+def _unread_columns(table: CaptionTable, split_by: str | None) -> list[str]:
     """Returns a line about the columns of a table that nothing is read from, if there are any."""
-    read = {split_by, SPLIT, DIGEST} | ({ACTION, PERSON} if has_parts(table) else set())
+    read = {split_by, *(OWN_COLUMNS if has_parts(table) else (SPLIT, DIGEST))}
     unread = [repr(name) for name in table.columns if name not in read]
     return [f"columns that are not read: {', '.join(unread)}"] if unread else []
 
@@ -134,6 +133,10 @@ class BvhOptions:
     frozen: bool = False
     """Import just what the table says: its captions alone, without sentences that are written for actions; if a file
     is missing or another one than the column `sha256` says, or a clip cannot be converted, nothing is imported."""
+
+
+def _same_name(motion: Source | Path, name: str, other: Source | Path) -> UserError:
+    return UserError(f"{motion}: would be named {name} like {other}; rename one of them")
 
 
 @dataclasses.dataclass
@@ -226,7 +229,7 @@ class _Converter:
         name = name or clip_name(motion.key(self.source))
         # Different paths can become the same name, and one clip would replace the other.
         if name in self.motions:
-            raise UserError(f"{motion}: would be named {name} like {self.motions[name]}; rename one of them")
+            raise _same_name(motion, name, self.motions[name])
         self.motions[name] = motion
         return name
 
@@ -237,7 +240,7 @@ class _Converter:
             if path.suffix.lower() != ".glb":  # animations are only known when their file is read
                 name = clip_name(Source(path, None).key(self.source))
                 if names.setdefault(name, path) != path:
-                    raise UserError(f"{path}: would be named {name} like {names[name]}; rename one of them")
+                    raise _same_name(path, name, names[name])
 
     def check(self) -> None:
         """Raises `UserError` if there is no clip, or if a rig has left and right exchanged."""
@@ -313,6 +316,6 @@ def import_bvh_folder(source: str | Path, destination: str | Path, **options: An
         sizes = finish_folder(folder, splits, info=about, skeleton=HUMANML3D)
         if convert.entries:
             save_index(folder, convert.entries)
-    found = (*unread_columns(table, given.split_by), *division.absent(convert.motions))
+    found = (*_unread_columns(table, given.split_by), *division.absent(convert.motions))
     notes = (*table.notes, *found, *convert.notes(), *unused)
     return ImportReport(sum(sizes.values()), convert.num_frames, sizes, convert.left_out, notes)
