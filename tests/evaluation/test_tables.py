@@ -187,6 +187,16 @@ def test_real_motion_is_that_of_the_longest_report():
     assert "over 2 to 20 repeats" in format_table(table, style="terminal")
 
 
+@pytest.mark.parametrize("style", ["terminal", "markdown", "latex"])
+def test_a_single_repeat_has_no_interval(style):
+    """`0.112 ± .000` would look like a figure that is certain."""
+    reports = [report(repeats=1, fid=(0.1119, 0.0), **FITS), report(repeats=1, fid=(0.2, 0.0), **FITS)]
+    text = format_table(make_table(reports, ["a", "b"]), style=style)
+    assert "0.112" in text
+    assert "Figures of one repeat; protocol strict" in text
+    assert not any(mark in text for mark in ("±", "\\pm", "nan", "interval"))
+
+
 @pytest.mark.parametrize("name", COMPARABLE)
 def test_reports_of_different_kinds_are_not_put_into_one_table(name):
     other = report(fid=(0.2, 0.0), header=dataclasses.replace(HEADER, **{name: OTHERS[type(getattr(HEADER, name))]}))

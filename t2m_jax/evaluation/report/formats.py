@@ -24,16 +24,17 @@ def mean_text(cell: Cell) -> str:
 
 
 def interval_text(cell: Cell) -> str:
-    """Returns the half-width as papers print it: `.003`, without the zero before the point."""
-    return f"{cell.interval:.{DIGITS}f}".removeprefix("0")
+    """Returns the half-width as papers print it: `.003`, without the zero before the point; empty if there is none."""
+    return "" if cell.interval is None else f"{cell.interval:.{DIGITS}f}".removeprefix("0")
 
 
 def facts_text(table: Table) -> str:
     """Returns sentences that say what the figures are, what all lines share, and what a reader must know."""
     counts = sorted({line.num_repeats for line in table.lines})
-    repeats = "1 repeat" if counts == [1] else " to ".join(map(str, [*counts[:1], *counts[1:][-1:]])) + " repeats"
+    repeats = " to ".join(map(str, [*counts[:1], *counts[1:][-1:]])) + " repeats"
     shared = printable(", ".join(f"{name.replace('_', ' ')} {value}" for name, value in table.facts.items()))
-    figures = f"Mean and 95 % interval over {repeats}" + (f"; {shared}." if shared else ".")
+    figures = "Figures of one repeat" if counts == [1] else f"Mean and 95 % interval over {repeats}"
+    figures += f"; {shared}." if shared else "."
     return f"{figures} {table.note}".rstrip()
 
 
@@ -52,7 +53,12 @@ def table_grid(table: Table, name: Callable[[str], str], figure: Callable[[Cell 
 
 
 def _plain(cell: Cell | None) -> str:
-    return f"{mean_text(cell)} ± {interval_text(cell)}" if cell else MISSING
+    return _with_interval(cell, mean_text(cell)) if cell else MISSING
+
+
+def _with_interval(cell: Cell, mean: str) -> str:
+    interval = interval_text(cell)
+    return f"{mean} ± {interval}" if interval else mean
 
 
 def _terminal(table: Table, *, color: bool) -> str:
@@ -76,7 +82,7 @@ def _markdown(table: Table) -> str:
         return re.sub(r"([\\`*_\[\]<>|])", r"\\\1", printable(text))
 
     def figure(cell: Cell | None) -> str:
-        return f"**{mean_text(cell)}** ± {interval_text(cell)}" if cell and cell.best else _plain(cell)
+        return _with_interval(cell, f"**{mean_text(cell)}**") if cell and cell.best else _plain(cell)
 
     text = markdown_table(("", *map(heading, table.columns)), table_grid(table, escaped, figure))
     return f"{text}\n\n{escaped(facts_text(table))}"
@@ -100,7 +106,8 @@ def _latex(table: Table) -> str:
         if cell is None:
             return "--"
         mean = f"\\mathbf{{{mean_text(cell)}}}" if cell.best else mean_text(cell)
-        return f"${mean}^{{\\pm{interval_text(cell)}}}$"
+        interval = interval_text(cell)
+        return f"${mean}^{{\\pm{interval}}}$" if interval else f"${mean}$"
 
     headings = [f"{escaped(column.heading)}{LATEX_ARROWS[column.better]}" for column in table.columns]
     lines = [" & ".join(line) + r" \\" for line in table_grid(table, escaped, figure)]

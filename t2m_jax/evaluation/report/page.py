@@ -81,7 +81,8 @@ def _table(table: Table) -> str:
     def figure(cell: Cell | None) -> str:
         if cell is None:
             return MISSING
-        return f"{mean_text(cell)} <small>± {interval_text(cell)}</small>"
+        interval = interval_text(cell)
+        return f"{mean_text(cell)} <small>± {interval}</small>" if interval else mean_text(cell)
 
     headings = "".join(f'<th scope="col">{_text(heading(column))}</th>' for column in table.columns)
     lines = "\n".join(

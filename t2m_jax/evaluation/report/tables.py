@@ -62,8 +62,8 @@ class Cell(NamedTuple):
     """One figure."""
 
     mean: float
-    interval: float
-    """Half-width of the 95 % interval."""
+    interval: float | None
+    """Half-width of the 95 % interval; None for a single repeat, which has none."""
     best: bool = False
 
 
@@ -156,7 +156,10 @@ def _check_comparable(reports: Sequence[Report], names: Sequence[str]) -> None:
 
 
 def _line(name: str, kind: str, metrics: dict[str, Metric]) -> TableLine:
-    cells = {metric: Cell(found.mean, found.interval) for metric, found in metrics.items()}
+    cells = {
+        metric: Cell(found.mean, found.interval if len(found.repeats) > 1 else None)
+        for metric, found in metrics.items()
+    }
     return TableLine(name, kind, max((len(found.repeats) for found in metrics.values()), default=0), cells)
 
 
