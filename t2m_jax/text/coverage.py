@@ -65,6 +65,11 @@ class Knowledge(NamedTuple):
     taught: frozenset[str] = frozenset()
     """Those of the words that no caption taught, but sentences that mean what captions do (`t2m teach`)."""
 
+    @property
+    def is_labeled(self) -> bool:
+        """Whether labels told what the motions are, so that captions are those of the grammar."""
+        return self.meanings is not None and self.meanings.are_labeled
+
 
 class Coverage(NamedTuple):
     """What a model knows of a prompt."""
@@ -249,7 +254,7 @@ def _unknown_words(words: Iterable[Word], knowledge: Knowledge) -> list[Word]:
 def _path_problems(prompt: str, unknown: Sequence[Word], knowledge: Knowledge) -> Iterator[str]:
     """Yields the option that gives the path the shape that a prompt says, if captions had none, as the grammar."""
     shape = find_path_shape(prompt)
-    if shape is not None and (_is_labeled(knowledge) or any(shape.name in word.bases for word in unknown)):
+    if shape is not None and (knowledge.is_labeled or any(shape.name in word.bases for word in unknown)):
         yield f"{shape.name}: words do not shape the path; {shape.option}"
 
 
@@ -257,12 +262,8 @@ def _unread_amounts(prompt: str, unknown: Sequence[Word], knowledge: Knowledge) 
     """Yields what `unread_amounts` finds, if captions of the grammar have no such amounts, or lack a word of it."""
     texts = {word.text for word in unknown}
     for amount, advice in unread_amounts(prompt):
-        if _is_labeled(knowledge) or any(word.text in texts for word in words_of(amount)):
+        if knowledge.is_labeled or any(word.text in texts for word in words_of(amount)):
             yield amount, advice
-
-
-def _is_labeled(knowledge: Knowledge) -> bool:
-    return knowledge.meanings is not None and knowledge.meanings.are_labeled
 
 
 def _nearest_actions(words: Sequence[Word], unknown: Sequence[Word], knowledge: Knowledge) -> dict[str, Nearest]:

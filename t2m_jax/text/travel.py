@@ -1,0 +1,163 @@
+"""Where somebody goes, in words that captions have: "she returns to the car" is read as "she walks forward to the car".
+
+Captions name the gait and the direction. People often leave out both, and their "back" and "away" mean where to, not
+which way somebody faces. The verbs are those of Levin, English Verb Classes and Alternations (1993), sections 51.1 and
+51.3.2, and a few more, without those of motions that are no gait, such as climbing.
+"""
+
+import re
+from collections.abc import Collection
+
+from t2m_jax.text.numerals import pattern
+from t2m_jax.text.verbs import (
+    BEFORE_BASE_FORM,
+    BODY_PARTS,
+    DETERMINERS,
+    LIGHT_VERBS,
+    PREPOSITIONS,
+    inflected,
+    is_negated,
+    readings,
+    word_set,
+    words_of,
+)
+
+_WALKS = word_set(
+    """amble backpack barge canter coast creep dodder drift file flit frolic gambol glide hike hobble inch journey limp
+    lollop lumber lurch march meander mince mosey pace pad parade patrol perambulate plod prance promenade prowl ramble
+    roam rove sashay saunter shamble shuffle skulk sleepwalk slink slog slouch sneak stagger stalk stomp storm stray
+    stride stroll strut stumble swagger tiptoe toddle totter traipse tramp travel trek troop trudge trundle waddle wade
+    walk wander"""
+)
+_RUNS = word_set(
+    """bolt charge dart dash hasten hurry hurtle jog lope race run rush scamper scoot scramble scud scurry scutter
+    scuttle skedaddle skitter speed sprint streak tear trot whiz zoom"""
+)
+_GOES = word_set("come go head move nip pass pop proceed step")
+"""Verbs that say with a way that somebody walks, and without one something else: "comes to life", "moves the arms"."""
+_ARRIVES = {
+    "advance": "",
+    "arrive": "",
+    "depart": "",
+    "enter": "into",
+    "exit": "out of",
+    "leave": "out of",
+    "return": "",
+}
+"""Verbs that need no way, and what "walks" needs before their object."""
+_COVERS = {"approach": "to", "cross": "across", "traverse": "across"}
+"""Verbs that need an object, and what "walks" needs before it."""
+_OBJECTS = _ARRIVES | _COVERS
+_TRAVELS = _WALKS | _RUNS | _GOES | _OBJECTS.keys()
+
+_OWN = "(?:his|her|their|its|your|my)"
+_A = rf"(?:(?:a|an|the|some|this|that|another|{_OWN})\b|\w+'s\b)"
+_NO_GOAL = (
+    rf"(?:\w+ing|{_OWN} (?:feet|knees|senses|side)|(?:a |an |the |one )?(?:attention|beat|end(?! of)|floor|ground|halt|"
+    r"life|music|pieces|rest|rhythm|side|sleep|stand|stop))\b"
+)
+"""What is no place: "goes to sleep", "moves to the beat", "goes back to stretching"."""
+_GOAL = rf"to (?!{_NO_GOAL})"
+_THROUGH = "(?:across|along|behind|down|inside|out|outside|over|past|through|up)"
+_WAY = pattern(
+    r"(?: all the way| forward| just| straight|,? \w+ly)* (?:",
+    rf"(?:into|onto|out of|toward|towards)\b|{_GOAL}|{_THROUGH} {_A}|(?:closer|here|home|on stage)\b|",
+    rf"(?:away|off)(?! {_A})|(?:along|down|in|out|over|up) from\b|",
+    rf"(?:along|back|down|in|on|out|over|up) (?:{_GOAL}|(?:{_THROUGH}|here|home|into|onto|the way|there|towards?)\b)|",
+    r"(?:back|elsewhere|in|indoors|inside|out|outdoors|outside|somewhere(?: else)?)(?=$|[.,;!?]))",
+)
+"""What says behind a verb where somebody goes."""
+_END = pattern(r"(?: \w+ly)*(?=$|[.,;!?]| (?:at|for|from)\b)")
+_OBJECT = pattern(rf" {_A}(?! (?:ankles?|arms?|fingers?|hands?|legs?|wrists?)\b)")
+_IS_LEFT_THERE = pattern(r".* (?:alone|at|behind|in|on|open)\b")
+"""What follows a thing that somebody leaves somewhere."""
+_SMALL = word_set("move step")
+_ASIDE = pattern(r" (?:away|back|down|off|on|onto|over (?!to)|up(?! to))\b")
+"""What says of the verbs of `_SMALL` that somebody goes backward, or not far."""
+_IDIOM = pattern(
+    rf"\b(?P<way>(?:find|mak|pick|push|work)\w*|found|made) {_OWN} way\b|",
+    r"\b(?P<off>sets?|setting) (?:off|out)(?= (?:across|along|down|for|into|through|to|towards?|up)\b|$|[.,;!?])|",
+    rf"\b(?P<to>head\w*|mak\w+|made) for(?= {_A})",
+)
+"""Other words for "go", "go off" and "go to"."""
+_OTHERWISE = pattern(
+    r"\b(?:around|aside|back and forth|backing|backs|backwards?|circles?|code|crab\w*|diagonal\w*|downhill|downstairs|",
+    r"eyes|facing|hill|ladder|lateral\w*|left|look\w* back|number|password|place|pose|position|posture|ramp|recoil\w*|",
+    r"retreat\w*|reverse|right|side[ -]?(?:on|shuffl\w+|ste\w+)|sideways?|slope|spot|staircase|stairs?|stance|",
+    rf"(?:go|goes|going|went) through {_OWN}|standing|strafe\w*|strafing|to and fro|treadmill|",
+    r"turn\w*|up and down|uphill|upright|upstairs|watching|",
+    rf"(?:{_OWN}|the) back(?! (?:door|of|room|yard)\b)|back first)\b",
+)
+"""Words of other directions and paths, of poses, and of what is entered with keys."""
+_FORWARD = pattern(r"\b(?:ahead|forwards?|onwards?|straight)\b")
+_NOT_LEARNED = pattern(r"^((?: all the way| just|,? \w+ly)*) (?:away(?! from)|back|off|over(?= to))(?= |$|[.,;!?])")
+"""Words of a way that captions have for something else."""
+_AT = pattern(r"^((?: \w+ly)*) at\b")
+_WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
+
+
+def plain_travel(prompt: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
+    """Returns a sentence in which who goes somewhere walks or runs forward, and which gaits were read as these.
+
+    Sentences with another direction, and such in which nobody goes anywhere, stay as they are.
+
+    Args:
+        prompt: A checked sentence.
+        known: Words that captions have. Other gaits are read as walking or running.
+    """
+    text = _IDIOM.sub(_as_go, prompt)
+    if _OTHERWISE.search(text):
+        return prompt, {}
+    for found in _WORD.finditer(text):
+        before = text[: found.start()]
+        after = text[found.end() :]
+        verb = _travel_verb(found[0].lower(), before, after)
+        if verb:
+            break
+    else:
+        return prompt, {}
+    is_gait = verb in _WALKS | _RUNS
+    said = found[0] if is_gait and verb in known else _in_form_of(found[0], "run" if verb in _RUNS else "walk")
+    forward = "" if _FORWARD.search(text) else " forward"
+    into = f" {_OBJECTS[verb]}" if _OBJECTS.get(verb) and _OBJECT.match(after) else ""
+    # "Arrives at the gate".
+    way = _NOT_LEARNED.sub(r"\1", _AT.sub(r"\1 to", after) if verb in _ARRIVES else after)
+    read = {found[0]: said} if is_gait and said != found[0] else {}
+    return f"{before}{said}{forward}{into}{way}", read
+
+
+def _travel_verb(word: str, before: str, after: str) -> str:
+    """Returns the basic form of a word if it is the verb of somebody who goes somewhere; otherwise an empty text."""
+    verb = next((base for base in readings(word).get("VERB", ()) if base in _TRAVELS), "")
+    if not verb or not _says_way(verb, after):
+        return ""
+    words = words_of(before)
+    is_noun = words and words[-1].text in DETERMINERS | PREPOSITIONS
+    # In "waves as he leaves" and "the arms go up", it is not what the person does.
+    is_beside = any(word.action not in LIGHT_VERBS | {""} and word.text not in BEFORE_BASE_FORM for word in words)
+    is_part = any(not BODY_PARTS.isdisjoint(word.bases) for word in words)
+    return "" if is_noun or is_beside or is_part or is_negated(words) else verb
+
+
+def _says_way(verb: str, after: str) -> bool:
+    """Returns whether the words behind a verb of travel say that somebody goes somewhere."""
+    if verb in _COVERS:
+        return _OBJECT.match(after) is not None
+    if verb in _SMALL and _ASIDE.match(after):
+        return False
+    has_object = _ARRIVES.get(verb) and _OBJECT.match(after) and not (verb == "leave" and _IS_LEFT_THERE.match(after))
+    return bool(has_object or _WAY.match(after) or (verb in _ARRIVES and _END.match(after)))
+
+
+def _as_go(found: re.Match[str]) -> str:
+    """Returns "go" in the form of the verb of an idiom."""
+    kind = found.lastgroup or ""
+    return _in_form_of(found[kind], "go") + ("" if kind == "way" else f" {kind}")
+
+
+def _in_form_of(word: str, verb: str) -> str:
+    """Returns a verb in the form of another one."""
+    low = word.lower()
+    if low in readings(low).get("VERB", ()):
+        return verb
+    return inflected(verb, "VBG" if low.endswith("ing") else "VBZ" if low.endswith("s") else "VBD")

@@ -1,0 +1,89 @@
+"""Where somebody goes, read in the words of captions."""
+
+import pytest
+
+from t2m_jax.text.travel import plain_travel
+from t2m_jax.text.verbs import word_set
+
+KNOWN = word_set("a person walk run stroll jog stagger forward to the")
+
+
+@pytest.mark.parametrize(
+    ("sentence", "read"),
+    [
+        # Without a gait.
+        ("he returns", "he walks forward"),
+        ("she returned to the barn", "she walked forward to the barn"),
+        ("a boy is coming over to the gate", "a boy is walking forward to the gate"),
+        ("enter the cave", "walk forward into the cave"),
+        ("Somebody exits the lift quickly", "Somebody walks forward out of the lift quickly"),
+        ("a girl leaves the library", "a girl walks forward out of the library"),
+        ("the pilot arrives at the plane", "the pilot walks forward to the plane"),
+        ("a nurse approaches the bed", "a nurse walks forward to the bed"),
+        ("she crossed the bridge", "she walked forward across the bridge"),
+        ("a guest heads for the buffet", "a guest walks forward to the buffet"),
+        ("made her way through the crowd", "walked forward through the crowd"),
+        ("he sets off for the lake", "he walks forward for the lake"),
+        # "Back" and "away" say where to.
+        ("a person walks back to the shed", "a person walks forward to the shed"),
+        ("the dog walker runs away", "the dog walker runs forward"),
+        ("he jogs slowly off toward the woods", "he jogs forward slowly toward the woods"),
+        ("she runs away from the wave", "she runs forward away from the wave"),
+        ("a man strolled over to the well", "a man strolled forward to the well"),
+        # With a direction, there is no second one.
+        ("a person walks straight to the door", "a person walks straight to the door"),
+        ("he goes forward to the altar", "he walks forward to the altar"),
+    ],
+)
+def test_who_goes_somewhere_goes_forward(sentence, read):
+    assert plain_travel(sentence, KNOWN) == (read, {})
+
+
+@pytest.mark.parametrize(
+    ("sentence", "read", "gaits"),
+    [
+        ("a bear lumbers across the glade", "a bear walks forward across the glade", {"lumbers": "walks"}),
+        ("skedaddling out of the barn", "running forward out of the barn", {"skedaddling": "running"}),
+        ("he staggers along the quay", "he staggers forward along the quay", {}),
+    ],
+)
+def test_a_gait_that_no_caption_has_is_read_as_another(sentence, read, gaits):
+    assert plain_travel(sentence, KNOWN) == (read, gaits)
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "a person walks",
+        "he walks backward to the wall",
+        "she backs away from the fire",
+        "steps back from the edge",
+        "he moves away",
+        "a man walks with his back to the wall",
+        "walks sideways along the ledge",
+        "she turns and walks to the left",
+        "he walks up the stairs",
+        "walks back and forth along the fence",
+        "jogs around the lake",
+        "comes to a halt",
+        "goes to sleep",
+        "she goes back to stretching",
+        "he returns to a standing position",
+        "she goes through her exercises",
+        "she moves her arms to the beat",
+        "steps onto the box",
+        "he crosses his arms",
+        "crosses the fingers",
+        "leaves a cup on the table",
+        "enters a code",
+        "he waves as she leaves the room",
+        "the hands go up over the head",
+        "he does not walk to the door",
+        "a slow walk",
+        "the exit is on fire",
+        "throws the ball over to the goal",
+        "leans over to the window",
+    ],
+)
+def test_other_sentences_stay_as_they_are(sentence):
+    assert plain_travel(sentence, KNOWN) == (sentence, {})
