@@ -14,10 +14,10 @@ from t2m_jax.keys import new_key
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS
 from t2m_jax.sampling.batches import fill_up
 from t2m_jax.text.coverage import Knowledge, PromptWarning, check_coverage
+from t2m_jax.text.directions import with_directions
 from t2m_jax.text.encoder import CuttingTextEncoder, TextEncoder
 from t2m_jax.text.prompts import check_prompt
 from t2m_jax.text.spelling import correct_spelling
-from t2m_jax.text.travel import plain_travel
 
 MAX_BATCH = 32
 """Motions that are generated together, and most samples to choose one from."""
@@ -29,7 +29,7 @@ class Prompt(NamedTuple):
     text: str
     """As it was typed, but for spaces and quotes."""
     read: str
-    """What the encoder gets: without typing mistakes, and with travel as captions say it (`plain_travel`)."""
+    """What the encoder gets: without typing mistakes, with the directions that it leaves out (`with_directions`)."""
     warning: str
     """Why the motion cannot be what the sentence says, in a line; empty if it may be."""
     unknown_words: tuple[str, ...]
@@ -66,7 +66,7 @@ def read_prompts(
         text = check_prompt(caption)
         read, corrected = correct_spelling(text, knowledge.words, rare=knowledge.taught)
         if knowledge.is_labeled:
-            read, gaits = plain_travel(read, knowledge.words.union(knowledge.actions))
+            read, gaits = with_directions(read, knowledge.words.union(knowledge.actions))
             corrected |= gaits
         # Some encoders cut long sentences, and the warning names what is not read.
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read

@@ -1,8 +1,8 @@
-"""Where somebody goes, read in the words of captions."""
+"""Directions that sentences leave out, in the words of captions."""
 
 import pytest
 
-from t2m_jax.text.travel import plain_travel
+from t2m_jax.text.directions import with_directions
 from t2m_jax.text.verbs import word_set
 
 KNOWN = word_set("a person walk run stroll jog stagger forward to the")
@@ -36,7 +36,7 @@ KNOWN = word_set("a person walk run stroll jog stagger forward to the")
     ],
 )
 def test_who_goes_somewhere_goes_forward(sentence, read):
-    assert plain_travel(sentence, KNOWN) == (read, {})
+    assert with_directions(sentence, KNOWN) == (read, {})
 
 
 @pytest.mark.parametrize(
@@ -48,12 +48,39 @@ def test_who_goes_somewhere_goes_forward(sentence, read):
     ],
 )
 def test_a_gait_that_no_caption_has_is_read_as_another(sentence, read, gaits):
-    assert plain_travel(sentence, KNOWN) == (read, gaits)
+    assert with_directions(sentence, KNOWN) == (read, gaits)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "read"),
+    [
+        ("he turns around", "he turns around to the right on the spot"),
+        ("Turn round slowly", "turn around to the right on the spot slowly"),
+        ("a cook turned about in place", "a cook turned around to the right in place"),
+        ("turning to face the other way", "turning around to the right on the spot"),
+        ("she does a half turn", "she turns around to the right on the spot"),
+        ("he made an about-face", "he turned around to the right on the spot"),
+        ("the lady whirled right around", "the lady turned around to the right on the spot"),
+        ("a waiter pivots to look in the opposite direction", "a waiter turns around to the right on the spot"),
+        ("a person rotates by 180\u00b0", "a person turns around to the right on the spot"),
+        ("a person turns 180 degrees", "a person turns around to the right on the spot"),
+    ],
+)
+def test_who_turns_around_does_so_on_the_spot(sentence, read):
+    assert with_directions(sentence, KNOWN) == (read, {})
 
 
 @pytest.mark.parametrize(
     "sentence",
     [
+        "turns around the corner",
+        "the captain turns the wheel around",
+        "he turns around and around",
+        "turns around to the left",
+        "she turns around clockwise",
+        "turns around three times",
+        "a person walks on without turning around",
+        "he turns around while walking",
         "a person walks",
         "he walks backward to the wall",
         "she backs away from the fire",
@@ -86,4 +113,4 @@ def test_a_gait_that_no_caption_has_is_read_as_another(sentence, read, gaits):
     ],
 )
 def test_other_sentences_stay_as_they_are(sentence):
-    assert plain_travel(sentence, KNOWN) == (sentence, {})
+    assert with_directions(sentence, KNOWN) == (sentence, {})

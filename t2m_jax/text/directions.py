@@ -1,8 +1,9 @@
-"""Where somebody goes, in words that captions have: "she returns to the car" is read as "she walks forward to the car".
+"""Directions that people leave out, in words that captions have: "she returns" is read as "she walks forward".
 
-Captions name the gait and the direction. People often leave out both, and their "back" and "away" mean where to, not
-which way somebody faces. The verbs are those of Levin, English Verb Classes and Alternations (1993), sections 51.1 and
-51.3.2, and a few more, without those of motions that are no gait, such as climbing.
+Captions name the gait and the direction of who goes somewhere, and the side of a turn. People often name neither, and
+their "back" and "away" mean where to, not which way somebody faces. The verbs are those of Levin, English Verb Classes
+and Alternations (1993), sections 51.1 and 51.3.2, and a few more, without those of motions that are no gait, such as
+climbing.
 """
 
 import re
@@ -93,18 +94,59 @@ _FORWARD = pattern(r"\b(?:ahead|forwards?|onwards?|straight)\b")
 _NOT_LEARNED = pattern(r"^((?: all the way| just|,? \w+ly)*) (?:away(?! from)|back|off|over(?= to))(?= |$|[.,;!?])")
 """Words of a way that captions have for something else."""
 _AT = pattern(r"^((?: \w+ly)*) at\b")
+_HALF = r"(?:180|one[- ]eighty|(?:a|one) hundred (?:and )?eighty)(?: ?\u00b0|[- ]degrees?)?"
+_AROUND = r"(?:(?:\w+ly|right|half ?way) )?(?:a?round|about)"
+_BACK = (
+    r"(?:to \w+ )?(?:(?:what|who|whoever) (?:is|was) )?(?:backwards?|behind(?: \w+)?|"
+    r"(?:in |to )?the (?:other|opposite) (?:direction|side|way))"
+)
+_TURNS = (
+    r"(?:pivot(?:t?ed|t?ing)?|rotat(?:e|ed|ing)|swivel(?:l?ed|l?ing)?|turn(?:ed|ing)?|wheel(?:ed|ing)?|whip(?:ped|ping)?|"
+    r"whirl(?:ed|ing)?)s?"
+)
+_TURN = pattern(
+    rf"\b(?:(?P<turn>{_TURNS}) (?:(?:{_AROUND} )?{_BACK}|(?:{_AROUND} )?(?:by )?(?:{_HALF}|a half turn)|{_AROUND}|",
+    rf"{_OWN} back (?:on|to) \w+)|(?P<spin>spins?|spinning|spun) {_AROUND} to \w+|",
+    r"(?P<does>(?:do|execut|mak|perform)\w*|did|made) (?:an?|half an?)(?: \w+)? ",
+    rf"(?:about[ -](?:face|turn)|half[ -](?:rotation|turn)|{_HALF}(?: turn)?))",
+    rf"(?![\w-]| (?:{_A}|and (?:a?round|about)\b))",
+)
+"""A turn by half a circle. "Turns around the corner" is a path."""
+_SIDE = pattern(r"\b(?:\w*clockwise|circles?|corner|left|right(?! a?round)|times|twice)\b")
+_ON_THE_SPOT = pattern(r"\b(?:in place|on the spot)\b")
 _WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
 
 
-def plain_travel(prompt: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
-    """Returns a sentence in which who goes somewhere walks or runs forward, and which gaits were read as these.
+def with_directions(prompt: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
+    """Returns a sentence with the directions that it leaves out, and which gaits were read as walking or running.
 
-    Sentences with another direction, and such in which nobody goes anywhere, stay as they are.
+    Who goes somewhere goes forward, and who turns around does so on the spot and to the right. Other sentences, and
+    those that name a direction, stay as they are.
 
     Args:
         prompt: A checked sentence.
         known: Words that captions have. Other gaits are read as walking or running.
     """
+    turned = _with_side(prompt)
+    return _with_way(prompt, known) if turned == prompt else (turned, {})
+
+
+def _with_side(prompt: str) -> str:
+    found = _TURN.search(prompt)
+    if found is None or _SIDE.search(prompt):
+        return prompt
+    before = words_of(prompt[: found.start()])
+    others = [*before, *words_of(prompt[found.end() :])]
+    # "The wheel turns" is no verb; who turns while walking goes around a corner.
+    is_noun = before and before[-1].text in DETERMINERS
+    if is_noun or is_negated(before) or any(not _TRAVELS.isdisjoint(word.bases) for word in others):
+        return prompt
+    turn = _in_form_of(found[found.lastgroup or 0], "turn")
+    spot = "" if _ON_THE_SPOT.search(prompt) else " on the spot"
+    return f"{prompt[: found.start()]}{turn} around to the right{spot}{prompt[found.end() :]}"
+
+
+def _with_way(prompt: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
     text = _IDIOM.sub(_as_go, prompt)
     if _OTHERWISE.search(text):
         return prompt, {}
