@@ -16,6 +16,7 @@ from t2m_jax.text.verbs import (
     DETERMINERS,
     LIGHT_VERBS,
     PREPOSITIONS,
+    form_of,
     inflected,
     is_negated,
     readings,
@@ -127,37 +128,49 @@ def with_directions(prompt: str, known: Collection[str]) -> tuple[str, dict[str,
         prompt: A checked sentence.
         known: Words that captions have. Other gaits are read as walking or running.
     """
-    turned = _with_side(prompt)
-    return _with_way(prompt, known) if turned == prompt else (turned, {})
+    turn = find_turn(prompt)
+    if turn is not None:
+        verb = _in_form_of(turn[turn.lastgroup or 0], "turn")
+        spot = "" if _ON_THE_SPOT.search(prompt) else " on the spot"
+        return f"{prompt[: turn.start()]}{verb} around to the right{spot}{prompt[turn.end() :]}", {}
+    text = _IDIOM.sub(_as_go, prompt)
+    travel = None if _OTHERWISE.search(text) else _find_travel(text)
+    return (prompt, {}) if travel is None else _with_way(text, *travel, known)
 
 
-def _with_side(prompt: str) -> str:
-    found = _TURN.search(prompt)
-    if found is None or _SIDE.search(prompt):
-        return prompt
-    before = words_of(prompt[: found.start()])
-    others = [*before, *words_of(prompt[found.end() :])]
+def find_turn(sentence: str) -> re.Match[str] | None:
+    """Returns where a sentence says that somebody turns around, to no side and without going anywhere, if it does."""
+    found = _TURN.search(sentence)
+    if found is None or _SIDE.search(sentence):
+        return None
+    before = words_of(sentence[: found.start()])
+    others = [*before, *words_of(sentence[found.end() :])]
     # "The wheel turns" is no verb; who turns while walking goes around a corner.
     is_noun = before and before[-1].text in DETERMINERS
-    if is_noun or is_negated(before) or any(not _TRAVELS.isdisjoint(word.bases) for word in others):
-        return prompt
-    turn = _in_form_of(found[found.lastgroup or 0], "turn")
-    spot = "" if _ON_THE_SPOT.search(prompt) else " on the spot"
-    return f"{prompt[: found.start()]}{turn} around to the right{spot}{prompt[found.end() :]}"
+    is_other = is_noun or is_negated(before) or any(not _TRAVELS.isdisjoint(word.bases) for word in others)
+    return None if is_other else found
 
 
-def _with_way(prompt: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
-    text = _IDIOM.sub(_as_go, prompt)
-    if _OTHERWISE.search(text):
-        return prompt, {}
+def goes_somewhere(sentence: str, *, at_once: bool = False) -> bool:
+    """Returns whether somebody goes to a place that a sentence names: "walks in", "returns", but not "walks".
+
+    With `at_once`, its first word must be the verb.
+    """
+    travel = _find_travel(_IDIOM.sub(_as_go, sentence))
+    return travel is not None and not (at_once and travel[0].start())
+
+
+def _find_travel(text: str) -> tuple[re.Match[str], str] | None:
+    """Returns the verb of somebody who goes somewhere, and its basic form."""
     for found in _WORD.finditer(text):
-        before = text[: found.start()]
-        after = text[found.end() :]
-        verb = _travel_verb(found[0].lower(), before, after)
+        verb = _travel_verb(found[0].lower(), text[: found.start()], text[found.end() :])
         if verb:
-            break
-    else:
-        return prompt, {}
+            return found, verb
+    return None
+
+
+def _with_way(text: str, found: re.Match[str], verb: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
+    after = text[found.end() :]
     is_gait = verb in _WALKS | _RUNS
     said = found[0] if is_gait and verb in known else _in_form_of(found[0], "run" if verb in _RUNS else "walk")
     forward = "" if _FORWARD.search(text) else " forward"
@@ -165,7 +178,7 @@ def _with_way(prompt: str, known: Collection[str]) -> tuple[str, dict[str, str]]
     # "Arrives at the gate".
     way = _NOT_LEARNED.sub(r"\1", _AT.sub(r"\1 to", after) if verb in _ARRIVES else after)
     read = {found[0]: said} if is_gait and said != found[0] else {}
-    return f"{before}{said}{forward}{into}{way}", read
+    return f"{text[: found.start()]}{said}{forward}{into}{way}", read
 
 
 def _travel_verb(word: str, before: str, after: str) -> str:
@@ -199,7 +212,4 @@ def _as_go(found: re.Match[str]) -> str:
 
 def _in_form_of(word: str, verb: str) -> str:
     """Returns a verb in the form of another one."""
-    low = word.lower()
-    if low in readings(low).get("VERB", ()):
-        return verb
-    return inflected(verb, "VBG" if low.endswith("ing") else "VBZ" if low.endswith("s") else "VBD")
+    return inflected(verb, form_of(word))

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from t2m_jax.text.clauses import fill_in, name_part, only_ends
 from t2m_jax.text.coverage import has_action
-from t2m_jax.text.verbs import BODY_PARTS, SIDES, bases_of, forms, word_set, words_of
+from t2m_jax.text.directions import find_turn, goes_somewhere
+from t2m_jax.text.verbs import BODY_PARTS, DETERMINERS, SIDES, bases_of, form_of, forms, readings, word_set, words_of
 
 _PERSON = r"(?:he|she|it|they|you|somebody|someone)"
 _JUST = r"(?:(?:right|just|only|shortly|soon|immediately|directly|straight) )?"
@@ -80,6 +81,18 @@ _LEAVES_STANDING = r"(?:(?:sits?|sat|lies?|lay|kneels?|knelt) (?:back )?down|bow
 _RISING = re.compile(rf"(?P<first>.*?{_STANDS_UP}.*?),? and (?:{_PERSON} )?(?P<second>.+)", re.IGNORECASE)
 _SINKING = re.compile(rf"(?P<first>.+?),? and (?:{_PERSON} )?(?P<second>{_LEAVES_STANDING}.*)", re.IGNORECASE)
 """Two actions around an "and" that need two postures: "stands up and walks", "waves and sits down"."""
+_ARRIVED = re.compile(rf"(?P<first>.+?),? and (?:{_PERSON} )?(?P<second>.+)", re.IGNORECASE)
+"""Two actions around an "and", of which one is the way to a place, or a turn: "walks in and waves"."""
+_PLACES = word_set("back box fence floor last place seat second train ward window")
+"""Known verbs that are something else behind "to the door and"."""
+_OBJECTS = word_set("at down her him himself herself it itself off on out them up")
+"""Words that make a verb of a word before them that may be a noun: "opens it", "leans on the bar"."""
+_ON_THE_WAY = re.compile(
+    rf"^(?:carr\w+|goes|keep\w*|kept|continu\w+|moves|walks|runs) on\b|^(?:keep\w*|kept|continu\w+)\b|"
+    rf"\b(?:all the way|on the way|(?:as|while) (?:{_PERSON}|\w+ing)|the (?:entire|whole) (?:time|way))\b",
+    re.IGNORECASE,
+)
+"""What says that an action is done while somebody goes, or that he goes on."""
 _LIST = re.compile(r"(?P<first>[^,]+),(?: and)? (?P<second>.+)")
 _OPENING = re.compile(
     rf"(?:(?:and|but|first(?:ly)?|second(?:ly)?|first of all|{_THEN}|{_LATER}|having|is|comes),? )+", re.IGNORECASE
@@ -133,8 +146,8 @@ def _with_corners(actions: Iterable[str], known: Collection[str]) -> list[str]:
 def _is_corner(action: str, neighbor: str, known: Collection[str]) -> bool:
     """Returns whether an action is nothing but another direction of somebody who goes, which its neighbor says."""
     going = GOING & bases_of(words_of(neighbor))
-    # Of two turns, neither is the corner of the other.
-    if not going or not _SIDE.search(action) or _SIDE.search(neighbor):
+    # Of two turns, neither is the corner of the other, and who turns around stands.
+    if find_turn(action) or not going or not _SIDE.search(action) or _SIDE.search(neighbor):
         return False
     words = words_of(action)
     ways = GOING & bases_of(words) & set(known)
@@ -167,9 +180,33 @@ def _cuts(text: str, is_known: Callable[[str], bool]) -> Iterator[tuple[str, str
                 yield full
             elif is_action(first) and is_action(second) and is_doing:
                 yield first, second
+    for first, second in _parts(_ARRIVED, text):
+        if _is_done_there(first, second) and (_goes_on(second, is_known) or _begins_with_verb(second)):
+            yield first, second
     for first, second in [*_parts(_RISING, text), *_parts(_SINKING, text), *_parts(_LIST, text)]:
         if _goes_on(second, is_known) and is_action(first):
             yield first, second
+
+
+def _is_done_there(first: str, second: str) -> bool:
+    """Returns whether the second of two actions can only begin when the first one has ended."""
+    is_place = not _PLACES.isdisjoint(forms(re.split(r"\W", second.lower())[0]))
+    # "And swings left at the end" is a corner.
+    is_way = _SIDE.search(second) and not BODY_PARTS & bases_of(words_of(second)) and not find_turn(second)
+    # "Through the cool and clean hall": a verb behind another one has its form.
+    verbs = {form_of(word.text) for word in words_of(first) if word.action}
+    is_no_verb = verbs and form_of(re.split(r"\W", second)[0]) not in verbs
+    if is_place or is_way or is_no_verb or _ON_THE_WAY.search(second):
+        return False
+    return any(goes_somewhere(part) or find_turn(part) for part in (first, second))
+
+
+def _begins_with_verb(text: str) -> bool:
+    """Returns whether the first word of a text is a verb, also of an action that the model does not know."""
+    first, second, *_ = [*re.split(r"\W+", text.lower()), ""]
+    found = readings(first)
+    is_other = not {"ADJ", "NOUN"}.isdisjoint(found) and second not in DETERMINERS | _OBJECTS
+    return "VERB" in found and not is_other and not first.endswith("ing")
 
 
 def _parts(pattern: re.Pattern[str], text: str) -> list[tuple[str, str]]:
@@ -203,4 +240,4 @@ def _is_doing(clause: str, is_known: Callable[[str], bool]) -> bool:
 def _goes_on(text: str, is_known: Callable[[str], bool]) -> bool:
     """Returns whether a text begins with another action. "Dragging a foot" and "make it look old" say a manner."""
     word = re.split(r"\W", text)[0]
-    return is_known(word) and not word.endswith("ing")
+    return (is_known(word) or goes_somewhere(text, at_once=True)) and not word.endswith("ing")

@@ -83,6 +83,14 @@ def inflected(word: str, tag: str) -> str:
     return next(iter(getInflection(word, tag)), word)
 
 
+def form_of(verb: str) -> str:
+    """Returns the Penn Treebank tag of a form of a verb: "waves" is VBZ. Participles of the past are VBD."""
+    low = verb.lower()
+    if low in readings(low).get("VERB", ()):
+        return "VB"
+    return "VBG" if low.endswith("ing") else "VBZ" if low.endswith("s") else "VBD"
+
+
 def words_of(caption: str) -> list[Word]:
     """Returns the words and numbers of a caption, without punctuation; "can't" is "can not"."""
     text = re.sub(r"\b(can|won|shan)'t\b", lambda found: _NEGATED[found[1]], straighten_quotes(caption.lower()))

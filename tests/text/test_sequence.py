@@ -67,7 +67,7 @@ def test_three_actions_are_three_sentences(known):
     "parts",
     [
         ("runs", "turns left and walks"),
-        ("walks", "turns around and walks back"),
+        ("walks", "turns around"),
         ("walks", "turns 180 degrees to the left and walks on"),
         ("walks and turns left", "walks and turns right"),
         ("steps to the left", "steps to the right"),
@@ -120,6 +120,13 @@ def is_same(part, expected):
     ("caption", "parts"),
     [
         ("a man stands up and walks off", ("a man stands up", "walks off")),
+        ("walks, then turns around and walks back", ("walks", "turns around", "walks back")),
+        ("he walks to the net and waves", ("he walks to the net", "waves")),
+        ("a boy enters the room, and he claps", ("a boy enters the room", "claps")),
+        ("she turns around and waves", ("she turns around", "waves")),
+        ("she goes to the lamp and switches it off", ("she goes to the lamp", "switches it off")),
+        ("he waves and leaves the room", ("he waves", "leaves the room")),
+        ("walk over, turn around and sit down", ("walk over", "turn around", "sit down")),
         ("she gets to her feet, and she waves", ("she gets to her feet", "waves")),
         ("he jumps and sits down", ("he jumps", "sits down")),
         ("walks and waves and bows", ("walks and waves", "bows")),
@@ -133,7 +140,20 @@ def test_two_postures_are_in_turn(known, caption, parts):
 
 @pytest.mark.parametrize(
     "caption",
-    ["walks and waves", "sits down and waves", "bends down and stands up", "he jumps and turns", "walk e.g.a lot"],
+    [
+        "walks and waves",
+        "sits down and waves",
+        "bends down and stands up",
+        "he jumps and turns",
+        "walk e.g.a lot",
+        "runs past the door and window",
+        "he walks past the benches and houses",
+        "she walks through the cool and clean hall",
+        "walks down the hall and turns left",
+        "strolls along the lake and waves all the way",
+        "walks through the gate and walks on",
+        "he runs to the door and back",
+    ],
 )
 def test_other_actions_around_an_and_are_at_once(known, caption):
     assert split_sequence(caption, known) == (caption,)
