@@ -68,7 +68,10 @@ def check_waypoints(waypoints: Sequence[Sequence[float | int]]) -> Float[np.ndar
         UserError: They are not at least two points of two finite numbers, or two in a row are the same, or the path
             turns back at one.
     """
-    if len(waypoints) < 2 or any(len(point) != 2 for point in waypoints):
+    for number, point in enumerate(waypoints, start=1):
+        if len(point) != 2:
+            raise UserError(f"path: point {number} needs two numbers, x and z in meters, not {len(point)}")
+    if len(waypoints) < 2:
         raise UserError(f"path: {len(waypoints)} points; give two or more of two numbers, x and z in meters")
     points = np.array(waypoints, np.float64)
     # `not <=` and not `>`, so that NaN is refused, too.

@@ -5,7 +5,7 @@ import functools
 import itertools
 import logging
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from numbers import Integral, Real
 from typing import Any, Literal, TypeVar
 
@@ -152,7 +152,7 @@ class MotionRequest:
         if self.strength is not None:  # the parts of a motion may have no sentence
             captions = with_neighbors(captions)
         # The only way to set a field of a frozen dataclass.
-        object.__setattr__(self, "captions", tuple(map(check_prompt, captions)))
+        object.__setattr__(self, "captions", tuple(_checked(captions)))
         check_seed(self.seed)
         if not (isinstance(self.num_samples, Integral) and 1 <= self.num_samples <= MAX_SAMPLES):
             raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
@@ -291,6 +291,16 @@ class MotionRequest:
             raise UserError(
                 f"num-samples: {self.num_samples} motions cannot be chosen from {self.candidates} candidates"
             )
+
+
+def _checked(captions: Sequence[str]) -> Iterator[str]:
+    """Yields the cleaned sentences.
+
+    Raises:
+        UserError: A sentence cannot be used. The message says which of several.
+    """
+    for number, caption in enumerate(captions, start=1):
+        yield check_prompt(caption, "captions" if len(captions) == 1 else f"captions: sentence {number}")
 
 
 def _with_quantities(caption: str, knowledge: Knowledge) -> str:

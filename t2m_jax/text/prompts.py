@@ -29,8 +29,12 @@ def straighten_quotes(text: str) -> str:
     return text.translate(_STRAIGHT_QUOTES)
 
 
-def check_prompt(prompt: str) -> str:
+def check_prompt(prompt: str, name: str = "prompt") -> str:
     """Returns the prompt with straight quotes and single spaces, `degrees` for `°`, and no zero-width characters.
+
+    Args:
+        prompt: What was typed.
+        name: What errors call it.
 
     Raises:
         UserError: The prompt has no words, is longer than `MAX_PROMPT_LENGTH`, or contains characters that captions
@@ -38,14 +42,14 @@ def check_prompt(prompt: str) -> str:
     """
     prompt = straighten_quotes(prompt).translate(_CLEANED)
     if len(prompt) > MAX_PROMPT_LENGTH:
-        raise UserError(f"prompt: {len(prompt):,} characters; describe the motion in at most {MAX_PROMPT_LENGTH:,}")
+        raise UserError(f"{name}: {len(prompt):,} characters; describe the motion in at most {MAX_PROMPT_LENGTH:,}")
     for character in prompt:
         category = unicodedata.category(character)
         if category in _REFUSED_CATEGORIES and character not in "\t\n\r":
             kind = _REFUSED_CATEGORIES[category]
             shown = character if character.isprintable() else f"(U+{ord(character):04X})"
-            raise UserError(f"prompt: {kind} {shown} cannot be read; leave it out and describe the motion in words")
+            raise UserError(f"{name}: {kind} {shown} cannot be read; leave it out and describe the motion in words")
     folded = " ".join(prompt.split())
     if not any(character.isalnum() for character in folded):
-        raise UserError(f"prompt: {folded!r} has no words; describe the motion, e.g. 'a person walks forward'")
+        raise UserError(f"{name}: {folded!r} has no words; describe the motion, e.g. 'a person walks forward'")
     return folded

@@ -102,7 +102,7 @@ def test_speed_and_path_change_before_the_rate(walk, tmp_path):
         ("--path=", "path: 0 points"),
         ("--path=0,0", "path: 1 points"),
         ("--path=0,0 1,1 1,1", "path: points 2 and 3 are at the same place"),
-        ("--path=0,0 1,1,1", "path: 2 points; give two or more of two numbers"),
+        ("--path=0,0 1,1,1", "path: point 2 needs two numbers, x and z in meters, not 3"),
         ("--path=0,0 inf,1", "path: point 2 is not within"),
         ("--path=0,0;1,1", "path: '0,0;1,1' is not points of two numbers"),
     ],

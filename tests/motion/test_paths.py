@@ -147,7 +147,8 @@ def test_impossible_turns_are_refused(degrees):
     [
         ([], "0 points; give two or more"),
         ([(0, 0)], "1 points; give two or more"),
-        ([(0, 0), (1, 2, 3)], "two numbers, x and z"),
+        ([(0, 0), (1, 2, 3)], "point 2 needs two numbers, x and z in meters, not 3"),
+        ([(0,)], "point 1 needs two numbers, x and z in meters, not 1"),
         ([(0, 0), (1, float("nan"))], "point 2 is not within 1000 m"),
         ([(0, 0), (1e9, 0)], "point 2 is not within 1000 m"),
         ([(0, 0), (1, 0), (1, 0)], "points 2 and 3 are at the same place"),

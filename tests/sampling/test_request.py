@@ -50,7 +50,8 @@ def test_options_that_no_model_has_are_one_line(options, said):
     ("fields", "said"),
     [
         ({"captions": ()}, "captions: give at least one sentence"),
-        ({"captions": ("walk", " ")}, "no words"),
+        ({"captions": (" ",)}, "captions: '' has no words"),
+        ({"captions": ("walk", " ")}, "captions: sentence 2: '' has no words"),
         ({"seed": -1}, "seed: -1 is not between 0 and"),
         ({"num_samples": 0}, "num-samples: 0 is not a whole number from 1 to 1,000,000"),
         ({"seconds": 0.0}, "seconds: 0 is not a number above 0, up to 3600"),
