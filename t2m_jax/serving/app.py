@@ -24,7 +24,7 @@ from t2m_jax.motion.changes import Changes
 from t2m_jax.records import record_from
 from t2m_jax.serving import answers, schema
 from t2m_jax.serving.files import Names, apart, make_file, move_character, open_file, read_motion
-from t2m_jax.serving.jobs import FINAL_EVENTS, Event, Job, Jobs, QueueFullError
+from t2m_jax.serving.jobs import FINAL_EVENTS, TRY_AGAIN, Event, Job, Jobs, QueueFullError
 from t2m_jax.serving.kept import KeptAnswers
 from t2m_jax.serving.openapi import openapi
 from t2m_jax.serving.streams import Bodies, EventResponse, is_json, while_connected
@@ -319,6 +319,6 @@ class _Server:
         except BrokenWorkerProcess:
             raise HTTPException(503, "the process that makes files has died; try again", {"Retry-After": "1"}) from None
         except TimeoutError:
-            raise HTTPException(503, f"it took longer than {FILE_SECONDS:g} s", {"Retry-After": "60"}) from None
+            raise HTTPException(503, f"no file after {FILE_SECONDS:g} s; {TRY_AGAIN}", {"Retry-After": "60"}) from None
         finally:
             self.files_waiting -= 1

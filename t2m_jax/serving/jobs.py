@@ -32,7 +32,11 @@ MAX_EDITS = 2
 MAX_WAITING = 64
 """Requests that wait; further ones are refused."""
 WORK_SECONDS = 120.0
-"""Longest time for a request without the queue. After it, the request fails, and the process is replaced."""
+"""Longest time for a request without the queue and without the compilation of programs, which the first request of a
+kind needs. After it, the request fails, and the process is replaced."""
+TRY_AGAIN = "the server may be busy: try again later; if it is not, ask for fewer or shorter motions"
+COMPILE_SECONDS = 480.0
+"""Most time for the compilation of programs beyond that."""
 RESTART_SECONDS = 0.2
 """Time before a process that has died is replaced."""
 END_SECONDS = 5.0
@@ -90,6 +94,8 @@ class Job:
     tries: int = 0
     start: float = 0.0
     """When the process began to work on it, or got it."""
+    end: float = 0.0
+    """When it fails if it is not ready."""
     is_started: bool = False
     """Whether the process has begun to work on it."""
     timer: asyncio.TimerHandle | None = None
@@ -257,6 +263,9 @@ class Jobs:
             if not self._ready.done():
                 self._ready.set_result(None)
             self._dispatch()
+        elif name == "compiled":
+            for job in self._sent.values():
+                self._set_timer(job, min(job.end + data, job.start + WORK_SECONDS + COMPILE_SECONDS))
 
     def _on_death(self) -> None:
         """Replaces the process. Its requests come first, unless they had their chances."""
@@ -280,9 +289,13 @@ class Jobs:
         self._loop.call_later(RESTART_SECONDS, self._start_process)
 
     def _start_timer(self, job: Job) -> None:
-        job.stop_timer()
         job.start = self._loop.time()
-        job.timer = self._loop.call_later(WORK_SECONDS, self._on_timeout, job)
+        self._set_timer(job, job.start + WORK_SECONDS)
+
+    def _set_timer(self, job: Job, end: float) -> None:
+        job.stop_timer()
+        job.end = end
+        job.timer = self._loop.call_at(end, self._on_timeout, job)
 
     def _on_timeout(self, job: Job) -> None:
         is_plain = job.request.is_plain
@@ -291,7 +304,8 @@ class Jobs:
             self._start_timer(job)  # it waits for that one, which has a limit of its own
             return
         if self.running.pop(job.number, None) is not None:
-            job.tell("failed", {"error": f"it took longer than {WORK_SECONDS:g} s; ask for less"})
+            seconds = f"{self._loop.time() - job.start:.0f}"
+            job.tell("failed", {"error": f"no motion after {seconds} s of work; {TRY_AGAIN}"})
         if self._process is not None:
             self._process.kill()
 

@@ -6,8 +6,11 @@ import signal
 import sys
 import threading
 import warnings
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, get_args
+
+import jax
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.reaching import exact_joints
@@ -18,6 +21,9 @@ from t2m_jax.serving.messages import NO_JOB, Cancel
 from t2m_jax.serving.scheduler import Scheduler
 from t2m_jax.text.coverage import PromptWarning
 
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+"""What JAX calls the time in which XLA compiles a program."""
 
 def work(connection: Connection, model_name: str, num_slots: int) -> None:
     """Generates until the connection is closed.
@@ -41,6 +47,7 @@ def work(connection: Connection, model_name: str, num_slots: int) -> None:
             connection.send((job, event, text))
 
     try:
+    watch_compilation(lambda seconds: send(NO_JOB, "compiled", seconds))
         scheduler = Scheduler(TextToMotion.load(model_name), num_slots, send)
         scheduler.warm_up()
     except UserError as error:
@@ -56,6 +63,16 @@ def work(connection: Connection, model_name: str, num_slots: int) -> None:
 
 
 def describe_model(model: TextToMotion, name: str) -> ModelData:
+def watch_compilation(tell: Callable[[float], None]) -> None:
+    """Tells of each program that is compiled how many seconds that took."""
+
+    def listen(event: str, duration_secs: float, **_: Any) -> None:
+        if event == COMPILED:
+            tell(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+
+
     """Returns what the page says of a model."""
     downsample = model.config.tokenizer.downsample
     return {

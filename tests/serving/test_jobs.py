@@ -242,6 +242,40 @@ def test_a_request_that_takes_too_long_fails_and_the_process_is_killed(monkeypat
     with_queue(test)
 
 
+def test_the_time_of_compilation_does_not_count(monkeypatch):
+    monkeypatch.setattr(module, "WORK_SECONDS", 0.2)
+    monkeypatch.setattr(module, "COMPILE_SECONDS", 0.4)
+
+    async def test(jobs):
+        job, process = jobs.submit(CHAIN), jobs._process
+        await asyncio.sleep(0.1)
+        jobs.say("compiled", 0.1)  # before the request has begun
+        await asyncio.sleep(0.15)
+        assert not process.killed
+        jobs.say("started", {}, job.number)
+        await asyncio.sleep(0.1)
+        for _ in range(9):  # it compiles forever
+            jobs.say("compiled", 0.1)
+        await asyncio.sleep(0.35)
+        assert not process.killed and "failed" not in names(job)
+        await asyncio.sleep(0.25)
+        assert process.killed and names(job) == ["failed"]
+
+    with_queue(test)
+
+
+def test_what_takes_too_long_does_not_blame_a_small_request(monkeypatch):
+    monkeypatch.setattr(module, "WORK_SECONDS", 0.01)
+
+    async def test(jobs):
+        job = jobs.submit(PLAIN)
+        await asyncio.sleep(0.05)
+        *_, failed = [json.loads(job.events.get_nowait().data) for _ in range(job.events.qsize())]
+        assert failed["error"].startswith("no motion after 0 s of work; the server may be busy: try again later")
+
+    with_queue(test)
+
+
 def test_the_time_of_a_request_begins_when_the_one_before_it_ends(monkeypatch):
     monkeypatch.setattr(module, "WORK_SECONDS", 0.2)
 

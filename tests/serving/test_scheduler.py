@@ -1,5 +1,6 @@
 """What the scheduler does with options before it samples."""
 
+import jax
 import pytest
 
 from t2m_jax.sampling import TextToMotion
@@ -7,6 +8,7 @@ from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.serving import scheduler as module
 from t2m_jax.serving.messages import Task
 from t2m_jax.serving.scheduler import Scheduler
+from t2m_jax.serving.worker import watch_compilation
 from tests.tiny import random_bundle
 
 
@@ -53,3 +55,14 @@ def test_an_exception_that_nobody_foresaw_fails_one_request(scheduler, sent, mon
     assert [(job, name) for job, name, _ in sent if name == "failed"] == [(1, "failed"), (0, "failed")]
     assert "log" in sent[-1][2]["error"] and "OverflowError" in capsys.readouterr().err
     assert not scheduler.is_busy
+
+
+def test_it_is_told_how_long_a_program_was_compiled():
+    told = []
+    watch_compilation(told.append)
+    double = jax.jit(lambda x: 2 * x)
+    double(1.0)
+    assert told and all(0 < seconds < 60 for seconds in told)
+    count = len(told)
+    double(2.0)  # is compiled
+    assert len(told) == count
