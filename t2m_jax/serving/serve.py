@@ -1,10 +1,11 @@
 """Runs the server until it is asked to end."""
 
 import asyncio
+import contextlib
 import gc
 import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -48,7 +49,7 @@ def serve(
     """
     # NumPy's products are small here, and its threads would wait for each other by spinning. All processes inherit it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    listener = _listen(host, port)
+    listener = _bind(host, port)
     jobs = Jobs(model_name, batch_size=batch_size, max_waiting=max_waiting)
     asyncio.run(_serve(jobs, listener, token, on_ready))
 
@@ -72,6 +73,8 @@ async def _serve(jobs: Jobs, listener: socket.socket, token: str | None, on_read
         MotionRequest(captions=("walk, then wave",)).in_turn(jobs.knowledge)
         gc.collect()
         gc.freeze()
+        with _telling(host, port):  # another server may have begun to listen meanwhile
+            listener.listen()
         on_ready(f"http://{f'[{host}]' if ':' in host else host}:{port}/")
         await uvicorn.Server(config).serve(sockets=[listener])
     finally:
@@ -101,17 +104,27 @@ class HttpProtocol(H11Protocol):
             self._watch()
 
 
-def _listen(host: str, port: int) -> socket.socket:
-    """Returns a socket that listens, so that a used port is told before the model is loaded."""
-    try:
+def _bind(host: str, port: int) -> socket.socket:
+    """Returns a socket with an address, so that a used port is told before the model is loaded.
+
+    It does not listen yet: clients would wait for an answer until the model is there, and now they are refused.
+    """
+    with _telling(host, port):
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         # With the protocol, asyncio knows that this is TCP, and turns off Nagle's algorithm: every answer after the
         # first of a connection would wait for 40 ms.
         listener = socket.socket(family, kind, protocol)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if os.name == "posix":  # on Windows, it would take a port that another program listens on
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
-        listener.listen()
-    except OSError as error:
-        raise UserError(f"--host, --port: cannot listen on {host}:{port} ({error.strerror or error})") from None
     listener.setblocking(False)
     return listener
+
+
+@contextlib.contextmanager
+def _telling(host: str, port: int) -> Iterator[None]:
+    """Raises `UserError` if a block cannot use an address."""
+    try:
+        yield
+    except OSError as error:
+        raise UserError(f"--host, --port: cannot listen on {host}:{port} ({error.strerror or error})") from None

@@ -47,7 +47,7 @@ def test_answers_are_sent_at_once():
             at_once.set_result(connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
             writer.close()
 
-        async with await asyncio.start_server(accepted, sock=module._listen("127.0.0.1", 0)) as server:
+        async with await asyncio.start_server(accepted, sock=module._bind("127.0.0.1", 0)) as server:
             _, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
             writer.close()
             return await asyncio.wait_for(at_once, 20)
