@@ -44,7 +44,10 @@ class OpenedFile(TypedDict):
 
 
 class ModelData(TypedDict):
-    """What the model knows, and all choices and limits: `fields` has the JSON schema of each field by request."""
+    """What the model knows, and all choices and limits: `fields` has the JSON schema of each field by request.
+
+    `file_options` has the values of each parameter of `POST /files` that only some formats have, by format.
+    """
 
     name: str
     about: str
@@ -60,6 +63,7 @@ class ModelData(TypedDict):
     words: list[str]
     taught: list[str]
     examples: list[str]
+    file_options: dict[str, dict[str, tuple[str | bool, ...]]]
     formats_of_several: NotRequired[list[str]]
     body_bytes: NotRequired[int]
     character_bytes: NotRequired[int]

@@ -19,7 +19,7 @@ from t2m_jax.export.html import scene_record
 from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.changes import Changes
 from t2m_jax.motion.character import load_character
-from t2m_jax.motion.formats import format_options, load_motion, save_motions
+from t2m_jax.motion.formats import load_motion, save_motions
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rig.rigs import RIGS
 from t2m_jax.motion.targets import Target, distances
@@ -82,10 +82,9 @@ def make_file(inputs: Sequence[bytes], options: schema.FileOptions) -> bytes:
     if options.format in ("gif", "mp4") and sum(motion.seconds for motion in motions) > LONGEST_PICTURES:
         raise UserError(f"format: a video of more than {LONGEST_PICTURES:g} seconds takes too long; use .glb or .html")
     with motion_file(b"", options.format) as path:
-        # Programs may use the same parameters for all formats; pictures have no joints to name.
-        known = format_options(path)
         given = {name: getattr(options, name) for name in ("names", "units", "root_bone", "camera")}
-        save_motions(path, motions, **{name: value for name, value in given.items() if value in known.get(name, ())})
+        # Without those that were not given, `save_motions` refuses what the format does not have.
+        save_motions(path, motions, **{name: value for name, value in given.items() if value})
         return path.read_bytes()
 
 

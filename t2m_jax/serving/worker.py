@@ -13,6 +13,7 @@ from typing import Any, get_args
 import jax
 
 from t2m_jax.errors import UserError
+from t2m_jax.motion.formats import format_options, motion_formats
 from t2m_jax.motion.reaching import exact_joints
 from t2m_jax.sampling import TextToMotion
 from t2m_jax.sampling.request import SamplingOptions, StopRuleName
@@ -21,9 +22,9 @@ from t2m_jax.serving.messages import NO_JOB, Cancel
 from t2m_jax.serving.scheduler import Scheduler
 from t2m_jax.text.coverage import PromptWarning
 
-
 COMPILED = "/jax/core/compile/backend_compile_duration"
 """What JAX calls the time in which XLA compiles a program."""
+
 
 def work(connection: Connection, model_name: str, num_slots: int) -> None:
     """Generates until the connection is closed.
@@ -46,8 +47,8 @@ def work(connection: Connection, model_name: str, num_slots: int) -> None:
         with lock:
             connection.send((job, event, text))
 
-    try:
     watch_compilation(lambda seconds: send(NO_JOB, "compiled", seconds))
+    try:
         scheduler = Scheduler(TextToMotion.load(model_name), num_slots, send)
         scheduler.warm_up()
     except UserError as error:
@@ -62,7 +63,6 @@ def work(connection: Connection, model_name: str, num_slots: int) -> None:
             scheduler.step()
 
 
-def describe_model(model: TextToMotion, name: str) -> ModelData:
 def watch_compilation(tell: Callable[[float], None]) -> None:
     """Tells of each program that is compiled how many seconds that took."""
 
@@ -73,6 +73,7 @@ def watch_compilation(tell: Callable[[float], None]) -> None:
     jax.monitoring.register_event_duration_secs_listener(listen)
 
 
+def describe_model(model: TextToMotion, name: str) -> ModelData:
     """Returns what the page says of a model."""
     downsample = model.config.tokenizer.downsample
     return {
@@ -90,6 +91,7 @@ def watch_compilation(tell: Callable[[float], None]) -> None:
         "words": sorted(model.knowledge.words),
         "taught": sorted(model.knowledge.taught),
         "examples": list(model.examples),
+        "file_options": {name: format_options(f"motion.{name}") for name in motion_formats()},
     }
 
 

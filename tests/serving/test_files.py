@@ -10,7 +10,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.changes import Changes
-from t2m_jax.motion.formats import load_motion, motion_formats
+from t2m_jax.motion.formats import format_options, load_motion, motion_formats
 from t2m_jax.motion.targets import targets_from_text
 from t2m_jax.serving.files import Names, make_file, motion_file, motion_record, move_character, open_file
 from t2m_jax.serving.schema import SEVERAL, FileOptions, decode_base64
@@ -78,11 +78,21 @@ def test_names_and_units_are_those_of_the_format(walk):  # noqa: F811
     options = FileOptions(format="bvh", names="mixamo", units="cm")
     with motion_file(make_file([data_of(walk)], options), "bvh") as path:
         assert load_bvh(path).joint_names[0] == "mixamorig:Hips"
-    make_file([data_of(walk[:2])], FileOptions(format="png", names="mixamo"))  # pictures have no joints to name
+
+
+@pytest.mark.parametrize("name", motion_formats())
+def test_options_of_other_formats_are_refused(walk, name):  # noqa: F811
+    choices = {"names": ("lafan1", "unreal", "smpl"), "units": ("m", "cm"), "camera": ("follow",), "root_bone": (True,)}
+    known = format_options(f"motion.{name}")
+    for option, value in ((option, value) for option, values in choices.items() for value in values):
+        if value not in known.get(option, ()):
+            with pytest.raises(UserError, match=rf"^{option}: {value!r} is unknown; known is "):
+                make_file([data_of(walk[:2])], FileOptions(format=name, **{option: value}))
+    make_file([data_of(walk[:2])], FileOptions(format=name, root_bone=False))  # is the same as without it
 
 
 def test_arrays_have_the_layout_that_is_asked_for(walk):  # noqa: F811
-    for names, entry in (("smpl", "poses"), ("vrm", "positions"), (None, "positions")):
+    for names, entry in (("smpl", "poses"), ("humanml3d", "positions"), (None, "positions")):
         assert entry in np.load(io.BytesIO(make_file([data_of(walk)], FileOptions(names=names))))
     assert b'"Root"' in make_file([data_of(walk)], FileOptions(format="glb", root_bone=True))
 

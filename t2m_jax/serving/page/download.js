@@ -1,7 +1,7 @@
 // The download panel: the selected motion, or all of a take, changed if need be, as a file in one of several formats.
 
 import { clearMessage, create, find, seconds, showMessage } from "./dom.js";
-import { clearFields, complaint, makeFields, plain, readFields, wrongField } from "./fields.js";
+import { clearFields, complaint, findField, makeFields, plain, readFields, showField, wrongField } from "./fields.js";
 import { keepForm } from "./memory.js";
 import { changeSample } from "./recipe.js";
 import { fileName, saveBlob } from "./savefile.js";
@@ -11,13 +11,19 @@ const TITLES = { npz: "Arrays for Python", bvh: "Skeleton for Blender, Maya …"
 
 export class DownloadPanel {
   constructor(session, model, onChanged) {
-    Object.assign(this, { session, onChanged, several: model.formats_of_several, form: find("save") });
+    Object.assign(this, { session, onChanged, several: model.formats_of_several, options: model.file_options, form: find("save") });
     const formats = plain(model.fields.files.format).enum;
     makeFields(this.form, model.fields.files, find("more-changes"));
     find("formats").append(...formats.map((format) => this.#formatChoice(format)));
     this.form.elements.format.value = formats.includes("glb") ? "glb" : formats[0];
     keepForm(this.form);
-    this.form.addEventListener("change", () => this.#update());
+    // Fields that only some formats have, and what the user has chosen there.
+    const names = new Set(Object.values(model.file_options).flatMap(Object.keys));
+    this.wanted = new Map([...names].filter((name) => name in model.fields.files).map((name) => [name, findField(name).value]));
+    this.form.addEventListener("change", ({ target }) => {
+      if (this.wanted.has(target.dataset.field)) this.wanted.set(target.dataset.field, target.value);
+      this.#update();
+    });
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       this.save();
@@ -38,14 +44,23 @@ export class DownloadPanel {
 
   #update() {
     const { take, span, motion } = this.session;
-    for (const field of this.form.querySelectorAll("[data-formats]")) {
-      field.hidden = !field.dataset.formats.split(" ").includes(this.format);
-    }
+    this.#showOptions();
     this.#offer("save-span", span !== null);
     find("save-span-text").textContent = span ? `(${seconds(span[0])} to ${seconds(span[1])})` : "";
     this.#offer("save-all", (take?.motions.length ?? 0) > 1);
     find("save-button").disabled = find("apply-changes").disabled = motion === null || this.busy === true;
     find("save-button").textContent = this.busy ? "Making the file …" : `Download ${this.format.toUpperCase()}`;
+  }
+
+  // Shows what the format has. A choice that it does not have comes back with a format that has it.
+  #showOptions() {
+    for (const [name, wanted] of this.wanted) {
+      const values = this.options[this.format][name] ?? [];
+      const control = findField(name);
+      showField(name, values.length > 0);
+      for (const option of control.options ?? []) option.hidden = option.disabled = option.value !== "" && !values.includes(option.value);
+      if (control.options) control.value = values.includes(wanted) ? wanted : "";
+    }
   }
 
   #offer(id, possible) {
