@@ -206,6 +206,7 @@ class _Server:
         """Generates: answers with server-sent events, or with one JSON object to who asks for it."""
         if not is_json(request):  # a page of another server could only send other types of bodies unasked
             raise HTTPException(415, "the body must be application/json")
+        key = schema.read_parameters(schema.KeepParameters, request.query_params.multi_items()).get("keep")
         async with self.bodies.read(request) as body:
             fields = await to_thread.run_sync(schema.read_body, schema.MotionBody, body)
             start = None
@@ -217,7 +218,6 @@ class _Server:
         # To read long sentences takes longer than others should wait.
         asked = await to_thread.run_sync(schema.motion_request(fields, start).in_turn, self.jobs.knowledge)
         schema.check_lengths(asked)
-        key = request.query_params.get("keep")
         if key is not None:
             self.kept.check(key)  # no other request may come between this and `start`
         events = self._events(self.jobs.submit(asked))
@@ -271,7 +271,7 @@ class _Server:
 
     async def files(self, request: Request) -> Response:
         """Answers with a file for download."""
-        fields = schema.read_parameters(schema.FileParameters, request.query_params)
+        fields = schema.read_parameters(schema.FileParameters, request.query_params.multi_items())
         options = record_from(schema.FileOptions, fields)
         async with self.bodies.read(request) as body:
             inputs = [body]
@@ -283,7 +283,7 @@ class _Server:
 
     async def scene(self, request: Request) -> Response:
         """Answers with what the page shows of a motion file."""
-        fields = schema.read_parameters(schema.SceneParameters, request.query_params)
+        fields = schema.read_parameters(schema.SceneParameters, request.query_params.multi_items())
         suffix = fields.get("format", "npz")
         rig = fields.pop("rig", None)
         names = Names(fields.pop("name", f"motion.{suffix}"), fields.pop("rig_name", "rig"))
@@ -297,7 +297,7 @@ class _Server:
         """Answers with a user's character that moves."""
         if not is_json(request):
             raise HTTPException(415, "the body must be application/json")
-        fields = schema.read_parameters(schema.CharacterParameters, request.query_params)
+        fields = schema.read_parameters(schema.CharacterParameters, request.query_params.multi_items())
         names = Names(fields.pop("name", "character"), fields.pop("rig_name", "rig"))
         rig = fields.pop("rig", None)
         changes = record_from(Changes, fields)

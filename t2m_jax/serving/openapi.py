@@ -23,7 +23,8 @@ def openapi() -> dict[str, Any]:
     # All at once, so that parts that several have, such as scenes, are described once.
     _, schemas = TypeAdapter.json_schemas(adapters, ref_template="#/components/schemas/{model}")
     found["components"]["schemas"] = schemas["$defs"]
-    models = {
+    models: dict[str, type[BaseModel]] = {
+        "/motions": schema.KeepParameters,
         "/files": schema.FileParameters,
         "/scene": schema.SceneParameters,
         "/character": schema.CharacterParameters,
@@ -32,7 +33,7 @@ def openapi() -> dict[str, Any]:
         found["paths"][path]["post"]["parameters"] = _parameters(model)
     for response in found["components"]["responses"].values():
         response["content"] = {"application/json": {"schema": {"$ref": "#/components/schemas/ErrorData"}}}
-    for path in ("/motions", *models):
+    for path in models:
         found["paths"][path]["post"]["responses"] |= {
             code: {"$ref": f"#/components/responses/{code}"} for code in POST_ERRORS
         }

@@ -4,12 +4,23 @@ import base64
 import binascii
 import dataclasses
 import difflib
+import re
 import reprlib
 import secrets
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema, create_model
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    WithJsonSchema,
+    create_model,
+)
 
 from t2m_jax.errors import UserError
 from t2m_jax.export.render.view import Camera
@@ -91,6 +102,11 @@ def _targets(value: object) -> tuple[Target, ...]:
     return targets_from_text(value)
 
 
+def _whole(value: object) -> object:
+    """Returns a whole number as an integer: in JSON, 1.0 is one, too."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
 TargetsText = Annotated[tuple[Target, ...], PlainValidator(_targets), WithJsonSchema({"type": "string"})]
 Replacement = tuple[Any, Any, str]
 """A type, a default and a text."""
@@ -123,7 +139,8 @@ def make_model(name: str, record: type, replaced: Mapping[str, Replacement]) -> 
     fields.update(replaced)
     annotated: dict[str, Any] = {
         name: (
-            annotation,
+            # Outside of the limits, so that they are those of the integer.
+            Annotated[annotation, BeforeValidator(_whole)] if annotation in (int, int | None) else annotation,
             Field(... if default is dataclasses.MISSING else default, description=text, **LIMITS.get(name, {})),
         )
         for name, (annotation, default, text) in fields.items()
@@ -169,6 +186,17 @@ SceneParameters = make_model(
 CharacterParameters = make_model("CharacterParameters", Changes, _READ_AS)
 
 
+class KeepParameters(BaseModel):
+    """The parameters of `POST /motions`."""
+
+    model_config = ConfigDict(extra="forbid")
+    keep: str | None = Field(
+        None,
+        description="A random key of 16 to 64 letters, digits, - and _. The request then goes on without a connection, "
+        "and `/motions/{key}` has its answer up to ten minutes after its end.",
+    )
+
+
 class FileBody(BaseModel):
     """The body of `POST /files` for several motions."""
 
@@ -207,15 +235,19 @@ def _check_size(body: bytes) -> None:
         raise UserError(f"request: has more than {MAX_JSON:,} bytes without the motions in it")
 
 
-def read_parameters(model: type[BaseModel], query: Mapping[str, str]) -> dict[str, Any]:
-    """Returns the fields in the parameters of an address.
+def read_parameters(model: type[BaseModel], query: Iterable[tuple[str, str]]) -> dict[str, Any]:
+    """Returns the fields in the parameters of an address, which are pairs of a name and a value.
 
     Raises:
-        UserError: A parameter is unknown, or has a value that cannot be used.
+        UserError: A parameter is unknown, is there twice, or has a value that cannot be used.
     """
+    pairs = list(query)
+    for name, count in Counter(name for name, _ in pairs).items():
+        if count > 1:
+            raise UserError(f"parameters: {name[:100]}: is given {count} times; give it once")
     try:
         # In an address, all values are texts.
-        return _given(model.model_validate_strings(dict(query)))
+        return _given(model.model_validate_strings(dict(pairs)))
     except ValidationError as error:
         raise _explained(error, model, "parameters") from None
 
@@ -236,8 +268,11 @@ def _explained(error: ValidationError, model: type[BaseModel], source: str) -> U
         return UserError(f"{source}: unknown field '{name[:100]}'; {hint}")
     if kind == "value_error":  # of a function of ours, which may name the field
         return UserError(f"{source}: {name}: {str(first['ctx']['error']).removeprefix(f'{name}: ')}")
-    reason = first["msg"][0].lower() + first["msg"][1:]
-    value = "" if kind in ("missing", "json_invalid", "model_type") else f", not {reprlib.repr(first['input'])}"
+    # "Tuple should have at most 2 items after validation, not 3": there are no tuples in JSON.
+    text = re.sub(r"^(Tuple|List) (.*) after validation", r"Input \2", first["msg"])
+    reason = text[0].lower() + text[1:]
+    says_value = kind in ("missing", "json_invalid", "model_type", "too_short", "too_long")
+    value = "" if says_value else f", not {reprlib.repr(first['input'])}"
     return UserError(": ".join(filter(None, (source, name, reason))) + value)
 
 
@@ -251,6 +286,8 @@ def motion_request(fields: Mapping[str, Any], start: Motion | None) -> MotionReq
     Raises:
         UserError: Fields do not go together.
     """
+    if start is None and "start_format" in fields:
+        raise UserError("start_format: is the format of start; give start, or leave it out")
     values = dict(fields) | {"start": start, "targets": fields.get("targets") or ()}
     # JSON may say 0.7 as 0.7000000000000001, which would be a program of its own.
     values |= {name: round(fields[name], 2) for name in ("temperature", "top_p") if fields.get(name) is not None}

@@ -11,8 +11,10 @@ from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.serving.schema import (
     LIMITS,
     PYTHON_ONLY,
+    CharacterParameters,
     FileBody,
     FileParameters,
+    KeepParameters,
     MotionBody,
     SceneParameters,
     check_lengths,
@@ -82,9 +84,8 @@ def test_all_sampling_options_reach_the_record():
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"captions": []}, "request: captions: tuple should have at least 1 item"),
-        ({"captions": ["a person walks"] * 21}, "request: captions: tuple should have at most 20 items"),
-        ({"captions": [""]}, "prompt: '' has no words"),
+        ({"captions": [""]}, "captions: '' has no words"),
+        ({"captions": ["a person walks", "a person waves", "?!"]}, "captions: sentence 3: '?!' has no words"),
         ({"captions": ["\u202e walks"]}, "an invisible formatting character"),
         ({"captions": "a person walks"}, "request: captions: input should be a valid array, not 'a person walks'"),
         ({"caption": "a person walks"}, "request: unknown field 'caption'; did you mean 'captions'?"),
@@ -106,7 +107,10 @@ def test_all_sampling_options_reach_the_record():
         ({"top_k": 20, "top_p": 0.5}, "top-k and top-p exclude each other"),
         ({"stop_rule": "never"}, "request: stop_rule: input should be 'argmax', 'threshold' or 'sampled', not 'never'"),
         ({"span": [1, 2]}, "span: changes a motion; give it as start"),
-        ({"span": [1, 2, 3]}, "request: span: "),
+        ({"seed": 2.0**32}, "request: seed: input should be less than or equal to 4294967295, not 4294967296"),
+        ({"top_k": 15.0}, "request: top_k: input should be a multiple of 10, not 15"),
+        ({"start_format": "bvh"}, "start_format: is the format of start; give start, or leave it out"),
+        ({"start_format": "npz", "start": None}, "start_format: is the format of start; give start"),
         ({"strength": 0.5}, "strength: changes a motion; give it as start"),
         ({"start": "%%%"}, "request: start: is not base64"),
         ({"start": 3}, "request: start: is not base64"),
@@ -117,6 +121,29 @@ def test_what_cannot_be_used_is_named(fields, message):
     with pytest.raises(UserError) as caught:
         request_of(GOOD | fields)
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "fields", "message"),
+    [
+        (MotionBody, {"captions": []}, "captions: input should have at least 1 item, not 0"),
+        (MotionBody, {"captions": ["a person walks"] * 21}, "captions: input should have at most 20 items, not 21"),
+        (MotionBody, GOOD | {"span": [1, 2, 3]}, "span: input should have at most 2 items, not 3"),
+        (FileBody, {"motions": []}, "motions: input should have at least 1 item, not 0"),
+        (FileBody, {"motions": ["AAEC"] * 33}, "motions: input should have at most 32 items, not 33"),
+    ],
+)
+def test_a_number_of_items_is_told_in_the_words_of_json(model, fields, message):
+    with pytest.raises(UserError) as caught:
+        read_body(model, json.dumps(fields).encode())
+    assert str(caught.value) == f"request: {message}"
+
+
+def test_whole_numbers_may_have_a_point():
+    """JSON Schema calls 1.0 an integer, and some programs write all numbers so."""
+    found = request_of(GOOD | {"seed": 7.0, "num_samples": 2.0, "top_k": 2e1})
+    assert (found.seed, found.num_samples, found.options.top_k) == (7, 2, 20)
+    assert all(type(number) is int for number in (found.seed, found.num_samples, found.options.top_k))
 
 
 @pytest.mark.parametrize(
@@ -186,6 +213,7 @@ def test_only_base64_is_decoded():
         ({"speed": "11"}, "parameters: speed: input should be less than or equal to 10"),
         ({"turn": "721"}, "parameters: turn: input should be less than or equal to 720"),
         ({"path": "0,0"}, "parameters: path: 1 points; give two or more"),
+        ({"path": "0,0 1,2 3"}, "parameters: path: point 3 needs two numbers, x and z in meters, not 1"),
         ({"path": "/etc/passwd"}, "parameters: path: '/etc/passwd' is not points of two numbers"),
         ({"file": "/etc/passwd"}, "parameters: unknown field 'file'; known: format, names, "),
         ({"names": "../x"}, "parameters: names: input should be 'lafan1', "),
@@ -193,13 +221,20 @@ def test_only_base64_is_decoded():
 )
 def test_parameters_are_checked(query, message):
     with pytest.raises(UserError) as caught:
-        read_parameters(FileParameters, query)
+        read_parameters(FileParameters, query.items())
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("model", [FileParameters, SceneParameters, CharacterParameters, KeepParameters])
+def test_a_parameter_is_given_once(model):
+    for name in (*model.model_fields, "other"):
+        with pytest.raises(UserError, match=rf"^parameters: {name}: is given 2 times; give it once$"):
+            read_parameters(model, [(name, "2"), ("x", "1"), (name, "2")])
 
 
 def test_parameters_become_changes():
     query = {"path": "0,0 1,2", "mirror": "1", "loop": "false", "speed": "2"}
-    assert read_parameters(SceneParameters, query) == {
+    assert read_parameters(SceneParameters, query.items()) == {
         "path": ((0, 0), (1, 2)),
         "mirror": True,
         "loop": False,
@@ -228,10 +263,10 @@ def test_limits_are_those_of_the_description(walk, name):  # noqa: F811
     assert bad
     if model is FileParameters:
         for value in good:
-            Changes(**read_parameters(model, {name: str(value)}))
+            Changes(**read_parameters(model, [(name, str(value))]))
         for value in bad:
             with pytest.raises(UserError, match=name):
-                read_parameters(model, {name: str(value)})
+                read_parameters(model, [(name, str(value))])
         return
     body = GOOD | ({"span": [1, 2]} if name == "candidates" else {})  # it is only for a span
     for value in good:
