@@ -1,6 +1,7 @@
 // The sentences of a motion as blocks of the timeline. A click chooses one, and its end makes it longer or shorter.
 
-import { clamp, create, find, seconds } from "./dom.js";
+import { clamp, create, find, seconds, showMessage } from "./dom.js";
+import { complaint } from "./fields.js";
 import { partsOf } from "./session.js";
 
 const KEYS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -5, PageUp: 5 }; // steps of a length
@@ -11,14 +12,12 @@ export class Blocks {
   #parts = [];
   #lengths = []; // as they are shown; while an end is dragged, one is not that of the motion
 
-  // `step` and `longest` are seconds; `onResize` gets a part (see `partsOf`) and its new length.
+  // `step` and `longest` are seconds; `onResize` gets a part (see `partsOf`) and its new length, and may return a promise
+  // for the end of its work.
   constructor(timeline, { step, longest, onResize }) {
     Object.assign(this, { timeline, step, longest, onResize, list: find("blocks"), number: find("sentence-length") });
     Object.assign(this.number, { min: step, max: longest, step });
-    this.number.addEventListener("change", () => {
-      this.#try(this.#chosen, Number(this.number.value));
-      this.#resize(this.#chosen);
-    });
+    this.number.addEventListener("change", () => this.#read());
     this.list.addEventListener("focusout", () => this.#restore());
   }
 
@@ -55,7 +54,22 @@ export class Blocks {
     find("replace-sentence").disabled = !isPart;
     find("replace-sentence").textContent = `Replace sentence${isPart ? ` ${place + 1}` : ""}`;
     this.number.disabled = !this.#parts[place]?.caption;
-    if (document.activeElement !== this.number) this.number.value = this.number.disabled ? "" : this.#lengths[place].toFixed(1);
+    if (document.activeElement !== this.number) this.#showLength();
+  }
+
+  #showLength() {
+    this.number.value = this.number.disabled ? "" : this.#lengths[this.#chosen].toFixed(1);
+  }
+
+  // Takes the length that was typed. An empty field changes nothing.
+  async #read() {
+    const { validity, valueAsNumber } = this.number;
+    const isOutside = validity.rangeUnderflow || validity.rangeOverflow;
+    if (isOutside) showMessage(complaint(this.number));
+    else this.#try(this.#chosen, valueAsNumber);
+    this.#showLength();
+    await this.#resize(this.#chosen);
+    this.#showLength();
   }
 
   #makeBlock({ caption, span }) {
@@ -114,9 +128,9 @@ export class Blocks {
     this.#show();
   }
 
-  #resize(place) {
-    if (this.#isChanged(place)) this.onResize(this.#parts[place], this.#lengths[place]);
-    else this.#restore();
+  async #resize(place) {
+    if (this.#isChanged(place)) await this.onResize(this.#parts[place], this.#lengths[place]);
+    this.#restore(); // also if it was refused or canceled
   }
 
   #restore() {

@@ -33,6 +33,8 @@ function makeControl(name, schema) {
   if (schema.type === "string") return create("input", { type: "text", placeholder, autocomplete: "off" });
   const { minimum, exclusiveMinimum, maximum, multipleOf } = schema;
   const input = create("input", { type: "number", placeholder, inputMode: "decimal", step: multipleOf ?? "any" });
+  // HTML has no limit that is itself excluded: see `isTooSmall`.
+  if (exclusiveMinimum !== undefined) input.dataset.above = exclusiveMinimum;
   return Object.assign(input, { min: minimum ?? exclusiveMinimum ?? "", max: maximum ?? "" });
 }
 
@@ -80,7 +82,12 @@ export function clearFields(part) {
   for (const control of madeControls(part)) Object.assign(control, { value: "", checked: false });
 }
 
-// Returns the first control whose value the server would refuse, or undefined.
-export const wrongField = (part) => madeControls(part).find((control) => !control.validity.valid);
+const isTooSmall = ({ valueAsNumber, dataset }) => valueAsNumber <= dataset.above;
 
-export const complaint = (control) => `${control.closest("label").textContent}: ${control.validationMessage}`;
+// Returns the first control whose value the server would refuse, or undefined.
+export const wrongField = (part) => madeControls(part).find((control) => !control.validity.valid || isTooSmall(control));
+
+export function complaint(control) {
+  const name = control.getAttribute("aria-label") ?? control.closest("label").textContent;
+  return `${name}: ${control.validationMessage || `Value must be greater than ${control.dataset.above}.`}`;
+}

@@ -119,11 +119,13 @@ export class MakePanel {
     this.sentences.focus();
   }
 
-  // Makes a part of the selected motion again, with another length; the rest is kept.
+  // Makes a part of the selected motion again, with another length; the rest is kept. Returns when that has ended.
   resize({ caption, span }, length) {
+    const wrong = wrongField(find("make"));
+    if (wrong) return this.#refuse(complaint(wrong), wrong);
     const { seed } = this.session.motion;
     const { targets, ...options } = readFields(find("make")); // targets are for new motions
-    this.generate({ ...options, captions: [caption], seed, num_samples: 1, span, seconds: length }, "length", this.#base);
+    return this.generate({ ...options, captions: [caption], seed, num_samples: 1, span, seconds: length }, "length", this.#base);
   }
 
   get #base() {

@@ -14,7 +14,10 @@ export class Timeline {
     this.numbers = [find("begin"), find("end")];
     this.handles.forEach((handle, side) => this.#listenToHandle(handle, side));
     this.numbers.forEach((input, side) => {
-      input.addEventListener("change", () => this.setSide(side, Number(input.value)));
+      input.addEventListener("change", () => {
+        this.setSide(side, input.valueAsNumber); // an empty field changes nothing
+        input.value = this.#shownSpan[side].toFixed(2);
+      });
     });
     find("whole").addEventListener("click", () => session.setSpan(null));
     session.onChange(["take", "select"], () => this.#draw());
