@@ -22,8 +22,8 @@ from t2m_jax.serving.messages import NO_JOB, Cancel
 from t2m_jax.serving.scheduler import Scheduler
 from t2m_jax.text.coverage import PromptWarning
 
-COMPILED = "/jax/core/compile/backend_compile_duration"
-"""What JAX calls the time in which XLA compiles a program."""
+COMPILATION = "/jax/core/compile/"
+"""Begins what JAX calls the times in which it traces a program, and XLA compiles it."""
 
 
 def work(connection: Connection, model_name: str, num_slots: int) -> None:
@@ -64,10 +64,10 @@ def work(connection: Connection, model_name: str, num_slots: int) -> None:
 
 
 def watch_compilation(tell: Callable[[float], None]) -> None:
-    """Tells of each program that is compiled how many seconds that took."""
+    """Tells of each step in the compilation of a program how many seconds it took."""
 
     def listen(event: str, duration_secs: float, **_: Any) -> None:
-        if event == COMPILED:
+        if event.startswith(COMPILATION):
             tell(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
