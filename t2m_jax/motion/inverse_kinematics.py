@@ -19,11 +19,15 @@ from t2m_jax.motion.rotations import (
     unit_vectors,
 )
 from t2m_jax.motion.skeleton import HUMANML3D, JOINT
+from t2m_jax.motion.torso import HINT, torso_frames
 from t2m_jax.motion.twist import limb_rotations
 
 _PARENTS = HUMANML3D.parents
 _X, _Y, _Z = np.eye(3)
 RIGID_SWEEPS = 20
+MIN_BONE = 0.05
+"""Share of the mean bone of a figure. A shorter bone above a hub does not tell what is up: in some files, the spine
+begins at the place of the pelvis. The whole torso tells it then."""
 
 # Direction in the T-pose of the bone that ends at a joint. The other joints are children of pelvis and chest, and their
 # directions are measured in the motion.
@@ -139,7 +143,8 @@ class _Fit:
         """Rotates a joint with several children to the best rigid fit."""
         children = list(HUMANML3D.children(hub.joint))
         targets = self.targets[:, children] - self.joints[:, hub.joint, None]
-        self.set_rotation(hub.joint, quaternion_from_matrix(rigid_rotations(self.offsets[children], targets)))
+        rotations = _hub_rotations(hub, self.offsets[children], targets, self.targets)
+        self.set_rotation(hub.joint, quaternion_from_matrix(rotations))
 
     def swing(self, joint: int, *, start: Float[np.ndarray, "T 4"] | None = None) -> None:
         """Rotates a joint with one child from `start`, by default its parent's rotation, directly to its target."""
@@ -187,14 +192,45 @@ def _rest_offsets(positions: Float[np.ndarray, "T J 3"]) -> Float[np.ndarray, "J
     for name, direction in REST_DIRECTIONS.items():
         offsets[JOINT[name]] = direction
     for hub in (PELVIS, CHEST):
-        # The mean of the bones in the hub's own frame: X from right to left, Y toward the joint above.
-        across = unit_vectors(bones[:, hub.left] - bones[:, hub.right])
-        up = bones[:, hub.above]
-        up = unit_vectors(up - np.sum(up * across, axis=-1, keepdims=True) * across)
-        frames = np.stack((across, up, np.cross(across, up)), axis=-2)
+        # The mean of the bones in the hub's own frame.
         children = list(HUMANML3D.children(hub.joint))
+        frames, is_sure = _hub_frames(hub, positions)
         offsets[children] = np.einsum("tab,tjb->ja", frames, bones[:, children]) / len(bones)
+        if not is_sure:  # seen from the rotations that fit it best, the mean is the shape
+            rotations = _hub_rotations(hub, offsets[children], bones[:, children], positions)
+            offsets[children] = np.einsum("tba,tjb->ja", rotations, bones[:, children]) / len(bones)
     return unit_vectors(offsets) * np.linalg.norm(bones, axis=-1).mean(axis=0)[:, None]
+
+
+def _hub_frames(hub: _Hub, positions: Float[np.ndarray, "T J 3"]) -> tuple[Float[np.ndarray, "T 3 3"], bool]:
+    """Returns the axes of a hub as rows, X from right to left and Y upwards, and whether its own bones tell them."""
+    bones = positions - positions[:, np.maximum(_PARENTS, 0)]
+    lengths = np.linalg.norm(bones, axis=-1).mean(axis=0)
+    is_sure = bool(lengths[hub.above] >= MIN_BONE * lengths[1:].mean())
+    across = bones[:, hub.left] - bones[:, hub.right]
+    up = bones[:, hub.above]
+    if not is_sure:
+        torso = torso_frames(positions, HUMANML3D)
+        across = across + HINT * torso[:, 0]  # both may be at the hub, too
+        up = torso[:, 1]
+    across = unit_vectors(across)
+    up = unit_vectors(up - np.sum(up * across, axis=-1, keepdims=True) * across)
+    return np.stack((across, up, np.cross(across, up)), axis=-2), is_sure
+
+
+def _hub_rotations(
+    hub: _Hub,
+    rest: Float[np.ndarray, "N 3"],
+    targets: Float[np.ndarray, "T N 3"],
+    positions: Float[np.ndarray, "T J 3"],
+) -> Float[np.ndarray, "T 3 3"]:
+    """Returns the rotations that bring the bones `rest` of a hub closest to `targets`."""
+    frames, is_sure = _hub_frames(hub, positions)
+    if not is_sure:
+        # The other bones may be on a line, so the axes tell the turn about it. Where they are not, they tell more.
+        rest = np.concatenate((rest, HINT * np.eye(3)))
+        targets = np.concatenate((targets, HINT * frames), axis=1)
+    return rigid_rotations(rest, targets)
 
 
 def _rigid_positions(

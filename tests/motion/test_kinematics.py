@@ -68,6 +68,23 @@ def test_a_rigid_figure_is_met():
     np.testing.assert_allclose(rig.rotations[:, leaves], np.broadcast_to(np.eye(3), (60, 5, 3, 3)), atol=1e-6)
 
 
+@pytest.mark.parametrize("length", [0.0, 0.002])
+@pytest.mark.parametrize(
+    "names", ["spine1", "spine1 spine2", "neck", "left_collar right_collar neck", "left_hip right_hip spine1"]
+)
+def test_a_figure_whose_bones_begin_at_one_place_is_met(names, length):
+    walk = walking_positions()
+    positions = walk.copy()
+    for joint, name in enumerate(HUMANML3D.joint_names[1:], start=1):
+        bone = walk[:, joint] - walk[:, PARENTS[joint]]
+        short = length * bone / np.linalg.norm(bone, axis=-1, keepdims=True)
+        positions[:, joint] = positions[:, PARENTS[joint]] + (short if name in names.split() else bone)
+    rig = fit_rig(positions, fps=20.0)
+    assert np.linalg.norm(positions_of(rig) - positions, axis=-1).max() < 5e-4
+    # The hips are where they are, so nothing turns that did not turn before.
+    assert turn_angles(rig.rotations).max() < 1.2 * turn_angles(fit_rig(walk, fps=20.0).rotations).max()
+
+
 def test_a_noisy_figure_is_met_within_ten_millimetres():
     positions = walking_positions(100)
     noise = np.random.default_rng(0).normal(size=positions.shape)
