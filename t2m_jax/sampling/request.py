@@ -76,7 +76,7 @@ class SamplingOptions:
     guidance_scale: float | None = None
     """Strength of the guidance by the text, for models that were trained for it; 1 is none. By default the model's."""
     stop_rule: StopRuleName | None = None
-    """When a motion ends, for models with a stop head; by default the model's own rule."""
+    """When a motion ends whose length is not given, for models with a stop head; by default the model's own rule."""
     max_codes: int | None = None
     """Longest motion in rows of codes, if the model decides its length; by default the model's maximum."""
     raw: bool = False
@@ -166,6 +166,7 @@ class MotionRequest:
             self._check_span(*self.span)
         if self.targets:
             self._check_targets()
+        self._check_end()
         if self.span is not None or self.targets:
             self._check_candidates()
         elif self.candidates != MotionRequest.candidates:
@@ -283,6 +284,13 @@ class MotionRequest:
                 raise UserError(
                     f"targets: targets are for a new motion of one sentence, or a span to redo; leave out {name}"
                 )
+
+    def _check_end(self) -> None:
+        """Refuses options that say when a motion ends if its length is given: they would be ignored."""
+        lengths = [name for name in ("span", "strength", "seconds") if getattr(self, name) is not None]
+        ends = [name for name in ("stop_rule", "max_codes") if getattr(self.options, name) is not None]
+        if lengths and ends:
+            raise UserError(f"{lengths[0]}: excludes {ends[0].replace('_', '-')}; the length of the motion is given")
 
     def _check_candidates(self) -> None:
         if not (isinstance(self.candidates, Integral) and 1 <= self.candidates <= MAX_BATCH):

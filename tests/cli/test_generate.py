@@ -127,6 +127,9 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
         (["--redo", "1:2", "--from", "{start}", "--vary", "0.5"], "--redo: excludes --vary"),
         (["--vary", "0.5", "--from", "{start}", "--at", "1", "root=0,0"], "leave out a variation"),
         (["--from", "{start}", "--at", "1", "root=0,0"], "leave out a motion to continue"),
+        (["--redo", "1:2", "--from", "{start}", "--stop-rule", "sampled"], "--redo: excludes --stop-rule"),
+        (["--vary", "0.5", "--from", "{start}", "--max-codes", "3"], "--vary: excludes --max-codes"),
+        (["--seconds", "4", "--then", "a person waves", "--max-codes", "3"], "seconds: excludes max-codes"),
         (["--raw", "--clean"], "--raw: excludes --clean"),
         (["--vary", "1.5", "--from", "{start}"], "--vary: 1.5 is not a number from 0 to 1"),
         (

@@ -87,6 +87,19 @@ def test_requests_that_no_model_can_answer_are_one_line(fields, said):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("option", [{"stop_rule": "sampled"}, {"max_codes": 3}])
+@pytest.mark.parametrize("length", [{"seconds": 4.0}, {"span": (0.0, 1.0)}, {"strength": 0.5}])
+def test_a_given_length_excludes_what_says_when_a_motion_ends(option, length):
+    start = {} if "seconds" in length else {"start": WALK}
+    said = f"{next(iter(length))}: excludes {next(iter(option)).replace('_', '-')}; the length of the motion is given"
+    for captions in (("walk",), ("walk", "run"))[: 2 if not start else 1]:
+        with pytest.raises(UserError, match=said):
+            MotionRequest(captions=captions, options=SamplingOptions(**option), **length, **start)
+    # A length that the sentence says is one wish beside others.
+    MotionRequest(captions=("a person walks for five seconds",), options=SamplingOptions(**option))
+    MotionRequest(captions=("walk",), start=WALK, options=SamplingOptions(**option))
+
+
 @pytest.mark.slow  # the fast tests check types by themselves
 @pytest.mark.parametrize(
     ("fields", "said"),

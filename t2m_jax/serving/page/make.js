@@ -50,6 +50,7 @@ export class MakePanel {
     find("strength-field").hidden = mode !== "vary";
     showField("seconds", mode !== "redo" && mode !== "vary");
     findField("seconds").placeholder = mode === "insert" ? INSERTED_SECONDS : "automatic";
+    showField("stop_rule", this.model.stop_rules.length > 0 && (mode === "new" || mode === "continue")); // others have a length
     showField("candidates", mode === "redo" || mode === "insert");
     const hasTargets = mode === "new" || mode === "redo";
     showField("targets", hasTargets);
@@ -124,7 +125,7 @@ export class MakePanel {
     const wrong = wrongField(find("make"));
     if (wrong) return this.#refuse(complaint(wrong), wrong);
     const { seed } = this.session.motion;
-    const { targets, ...options } = readFields(find("make")); // targets are for new motions
+    const { targets, stop_rule, ...options } = readFields(find("make")); // these are for new motions
     return this.generate({ ...options, captions: [caption], seed, num_samples: 1, span, seconds: length }, "length", this.#base);
   }
 
@@ -141,7 +142,6 @@ export class MakePanel {
     const fields = model.fields.motions;
     plain(fields.stop_rule).enum.splice(0, Infinity, ...model.stop_rules);
     makeFields(find("make"), fields, find("more-options"));
-    showField("stop_rule", model.stop_rules.length > 0);
     showField("guidance_scale", model.guidance_scale !== null);
     findField("guidance_scale").placeholder = model.guidance_scale ?? "";
     const counts = Array.from({ length: fields.num_samples.maximum }, (_, index) => [index + 1, index + 1]);
