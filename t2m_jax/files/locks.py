@@ -43,7 +43,7 @@ def lock(path: Path, *, seconds: float = SECONDS) -> Iterator[None]:
 
     Raises:
         UserError: Another process holds it.
-        OSError: The file cannot be written.
+        OSError: The lock file cannot be written.
     """
     from filelock import FileLock, Timeout  # here, because reading needs no locks
 
@@ -52,6 +52,8 @@ def lock(path: Path, *, seconds: float = SECONDS) -> Iterator[None]:
     try:
         holder.acquire(timeout=seconds)
     except Timeout:
+        if not place.exists():  # `filelock` also waits in folders that take no file, such as `/proc`
+            place.touch()  # says why; a file that is left blocks nobody
         owner = _owner(place) or "another process"
         raise UserError(f"{path}: is being written by {owner}; wait until it has finished, or end it") from None
     try:
