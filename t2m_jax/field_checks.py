@@ -3,10 +3,27 @@
 import dataclasses
 import math
 import reprlib
-from numbers import Integral
+from numbers import Integral, Real
 from typing import Any
 
 from t2m_jax.errors import UserError
+
+
+def is_number(value: Any, kind: type = Real) -> bool:
+    """Returns whether a value is a number of a kind; True and False are none."""
+    return isinstance(value, kind) and not isinstance(value, bool)
+
+
+def check_number(name: str, value: float | int, kind: type = Real) -> float | int:
+    """Returns the number of an argument or a field.
+
+    Raises:
+        UserError: It is of another type.
+    """
+    if not is_number(value, kind):
+        whole = "whole " if kind is Integral else ""
+        raise UserError(f"{name.replace('_', '-')}: {value!r} is not a {whole}number")
+    return value
 
 
 def check_sizes(config: Any, *names: str) -> None:
@@ -40,8 +57,7 @@ def check_seed(seed: int, name: str = "seed") -> None:
 
     Keys of JAX ignore the bits above.
     """
-    if not isinstance(seed, Integral):
-        raise UserError(f"{name}: {seed!r} is not a whole number")
+    check_number(name, seed, Integral)
     if not 0 <= seed < 2**32:
         raise UserError(f"{name}: {seed} is not between 0 and {2**32 - 1}")
 

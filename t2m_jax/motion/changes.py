@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_number
 from t2m_jax.motion.looping import LOOP_FPS
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.paths import check_turn, check_waypoints
@@ -56,10 +57,10 @@ class Changes:
             UserError: A value cannot be used with any motion, or two fields exclude each other.
         """
         # The default is None and not 0: a cut, even of no frame, would drop the codes.
-        begin = 0.0 if self.begin is None else self.begin
+        begin = 0.0 if self.begin is None else check_number("begin", self.begin)
         if not 0 <= begin < math.inf:
             raise UserError(f"begin: {begin:g} is not a number of seconds from 0")
-        if self.end is not None and not begin < self.end < math.inf:
+        if self.end is not None and not begin < check_number("end", self.end) < math.inf:
             raise UserError(f"end: {self.end:g} is not a number of seconds after begin, {begin:g}")
         check_speed(self.speed)
         check_turn(self.turn)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_number
 from t2m_jax.motion.cleanup import clean_motion
 from t2m_jax.motion.formats import load_motion, notebook_frame, save_motions
 from t2m_jax.motion.inverse_kinematics import fit_rig
@@ -158,8 +159,8 @@ class Motion:
         Raises:
             UserError: No frame is between these times.
         """
-        start = begin or 0.0
-        stop = self.seconds if end is None else min(end, self.seconds)
+        start = 0.0 if begin is None else check_number("begin", begin)
+        stop = self.seconds if end is None else min(check_number("end", end), self.seconds)
         # The first comparison finds NaN, which cannot be rounded.
         if not (0 <= start < stop and round(start * self.fps) < round(stop * self.fps)):
             raise UserError(f"begin: {start:g} to {stop:g} s has no frame; the motion has {self.seconds:.2f} s")
@@ -180,16 +181,15 @@ class Motion:
         Raises:
             UserError: The rate is not a number above 0, or is too large.
         """
-        new_fps = float(fps)
+        new_fps = float(check_number("fps", fps))
         # Features and codes belong to one frame rate, so they are dropped.
         result = self._edited(
             lambda old: resample_positions(old, fps=self.fps, new_fps=new_fps, skeleton=self.skeleton), fps=new_fps
         )
         starts = [round(first * new_fps / self.fps) for first in self.part_starts]
+        pairs = zip(starts, self.part_captions, strict=True)
         # Of sentences that begin at the same frame of a slow rate, the last one stays.
-        parts = {
-            first: text for first, text in zip(starts, self.part_captions, strict=True) if first < len(result.positions)
-        }
+        parts = {first: text for first, text in pairs if first < result.num_frames}
         return dataclasses.replace(result, part_starts=tuple(parts), part_captions=tuple(parts.values()))
 
     def at_speed(self, factor: float | int) -> "Motion":

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_number
 from t2m_jax.motion.cleanup import lock_feet
 from t2m_jax.motion.joining import Clip
 from t2m_jax.motion.rotations import turned_about_y
@@ -56,7 +57,8 @@ class Route(NamedTuple):
 
 
 def check_turn(degrees: float | int) -> None:
-    """Raises `UserError` if an angle is not between -`LARGEST_TURN` and `LARGEST_TURN`."""
+    """Raises `UserError` if an angle is not a number between -`LARGEST_TURN` and `LARGEST_TURN`."""
+    check_number("turn", degrees)
     if not abs(degrees) <= LARGEST_TURN:
         raise UserError(f"turn: {degrees} is not a number from -{LARGEST_TURN:.0f} to {LARGEST_TURN:.0f} degrees")
 
@@ -68,12 +70,16 @@ def check_waypoints(waypoints: Sequence[Sequence[float | int]]) -> Float[np.ndar
         UserError: They are not at least two points of two finite numbers, or two in a row are the same, or the path
             turns back at one.
     """
-    for number, point in enumerate(waypoints, start=1):
+    try:
+        given = [tuple(point) for point in waypoints]
+    except TypeError:  # a number, or a row of them
+        raise UserError(f"path: {waypoints!r} is not points of two numbers, x and z in meters") from None
+    for place, point in enumerate(given, start=1):
         if len(point) != 2:
-            raise UserError(f"path: point {number} needs two numbers, x and z in meters, not {len(point)}")
-    if len(waypoints) < 2:
-        raise UserError(f"path: {len(waypoints)} points; give two or more of two numbers, x and z in meters")
-    points = np.array(waypoints, np.float64)
+            raise UserError(f"path: point {place} needs two numbers, x and z in meters, not {len(point)}")
+    if len(given) < 2:
+        raise UserError(f"path: {len(given)} points; give two or more of two numbers, x and z in meters")
+    points = np.array([[check_number("path", number) for number in point] for point in given], np.float64)
     # `not <=` and not `>`, so that NaN is refused, too.
     if not (np.abs(points) <= FARTHEST).all():
         row = int(np.argmin((np.abs(points) <= FARTHEST).all(axis=1)))

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.errors import UserError
+from t2m_jax.field_checks import check_number
 from t2m_jax.motion.features import bone_vectors, positions_from_bones
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
@@ -18,14 +19,16 @@ FILTER_WINDOW = ("kaiser", 10.0)
 """Window of the low-pass filter. It damps what is too fast for the new rate by 100 dB, and what stands still not."""
 
 
-def check_fps(fps: float) -> None:
-    """Raises `UserError` if a frame rate is not between 0 and `MAX_FPS`."""
+def check_fps(fps: float | int) -> None:
+    """Raises `UserError` if a frame rate is not a number between 0 and `MAX_FPS`."""
+    check_number("fps", fps)
     if not 0 < fps <= MAX_FPS:
         raise UserError(f"fps: {fps} is not a number above 0, up to {MAX_FPS:.0f} frames per second")
 
 
 def check_speed(factor: float | int) -> None:
-    """Raises `UserError` if a factor of speed is not between 1 / `MAX_SPEED` and `MAX_SPEED`."""
+    """Raises `UserError` if a factor of speed is not a number between 1 / `MAX_SPEED` and `MAX_SPEED`."""
+    check_number("speed", factor)
     if not 1 / MAX_SPEED <= factor <= MAX_SPEED:
         raise UserError(f"speed: {factor} is not a number from {1 / MAX_SPEED:g} to {MAX_SPEED:g}; 2 is twice as fast")
 

@@ -10,7 +10,7 @@ from numbers import Integral, Real
 from typing import Any, Literal, TypeVar
 
 from t2m_jax.errors import UserError
-from t2m_jax.field_checks import check_seed
+from t2m_jax.field_checks import check_number, check_seed, is_number
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import with_neighbors
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS, SIDED_ACTIONS
@@ -38,19 +38,16 @@ MAX_SECONDS = 3600.0
 
 def check_seconds(seconds: float) -> None:
     """Raises `UserError` if a length is not a number of seconds up to `MAX_SECONDS`."""
-    is_number = isinstance(seconds, Real)
-    if not (is_number and 0 < seconds <= MAX_SECONDS):
-        given = f"{seconds:g}" if is_number else repr(seconds)
+    if not (is_number(seconds) and 0 < seconds <= MAX_SECONDS):
+        given = f"{seconds:g}" if is_number(seconds) else repr(seconds)
         raise UserError(f"seconds: {given} is not a number above 0, up to {MAX_SECONDS:g}")
 
 
 def check_numbers(record: Any, names: str, kind: type = Real) -> None:
     """Raises `UserError` if a field of a record is neither None nor a number of a kind."""
     for name in names.split():
-        value = getattr(record, name)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, kind)):
-            whole = "whole " if kind is Integral else ""
-            raise UserError(f"{name.replace('_', '-')}: {value!r} is not a {whole}number")
+        if (value := getattr(record, name)) is not None:
+            check_number(name, value, kind)
 
 
 def sentences(captions: Sequence[str]) -> tuple[str, ...]:
@@ -154,7 +151,7 @@ class MotionRequest:
         # The only way to set a field of a frozen dataclass.
         object.__setattr__(self, "captions", tuple(_checked(captions)))
         check_seed(self.seed)
-        if not (isinstance(self.num_samples, Integral) and 1 <= self.num_samples <= MAX_SAMPLES):
+        if not (is_number(self.num_samples, Integral) and 1 <= self.num_samples <= MAX_SAMPLES):
             raise UserError(f"num-samples: {self.num_samples} is not a whole number from 1 to {MAX_SAMPLES:,}")
         if self.seconds is not None:
             check_seconds(self.seconds)
@@ -264,7 +261,7 @@ class MotionRequest:
             raise UserError(f"strength: {self.strength:g} is not a number from 0 to 1")
 
     def _check_span(self, begin: float, end: float) -> None:
-        if not (isinstance(begin, Real) and isinstance(end, Real)):
+        if not (is_number(begin) and is_number(end)):
             raise UserError(f"span: {begin!r} to {end!r} are not two numbers of seconds")
         # NaN fails each comparison, so it is refused, too. Where the motion ends is checked with its codes.
         if not 0 <= begin <= end < math.inf:
@@ -293,7 +290,7 @@ class MotionRequest:
             raise UserError(f"{lengths[0]}: excludes {ends[0].replace('_', '-')}; the length of the motion is given")
 
     def _check_candidates(self) -> None:
-        if not (isinstance(self.candidates, Integral) and 1 <= self.candidates <= MAX_BATCH):
+        if not (is_number(self.candidates, Integral) and 1 <= self.candidates <= MAX_BATCH):
             raise UserError(f"candidates: {self.candidates} is not a whole number from 1 to {MAX_BATCH}")
         if self.num_samples > self.candidates:
             raise UserError(

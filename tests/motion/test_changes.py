@@ -42,6 +42,40 @@ def test_changes_that_no_motion_can_have_are_one_line(fields, said):
     assert "\n" not in str(refused.value)
 
 
+WRONG = {
+    "begin: 'a' is not a number": (lambda motion: motion.trimmed("a"), {"begin": "a"}),
+    "begin: True is not a number": (lambda motion: motion.trimmed(True), {"begin": True}),
+    "end: '2' is not a number": (lambda motion: motion.trimmed(0, "2"), {"end": "2"}),
+    "speed: None is not a number": (lambda motion: motion.at_speed(None), {"speed": None}),
+    "speed: 'a' is not a number": (lambda motion: motion.at_speed("a"), {"speed": "a"}),
+    "turn: True is not a number": (lambda motion: motion.turned(True), {"turn": True}),
+    "turn: 'x' is not a number": (lambda motion: motion.turned("x"), {"turn": "x"}),
+    "fps: 'x' is not a number": (lambda motion: motion.resampled("x"), {"fps": "x"}),
+    r"path: 5 is not points of two numbers": (lambda motion: motion.along(5), {"path": 5}),
+    r"path: \[1, 2\] is not points of two numbers": (lambda motion: motion.along([1, 2]), {"path": [1, 2]}),
+    "path: '1' is not a number": (lambda motion: motion.along([(0, 0), (0, "1")]), {"path": ((0, 0), (0, "1"))}),
+}
+
+
+@pytest.mark.slow  # the fast tests check types by themselves
+@pytest.mark.parametrize("said", WRONG)
+def test_arguments_of_another_type_are_named(walk, said):
+    change, fields = WRONG[said]
+    for act in (lambda: change(walk), lambda: Changes(**fields)):
+        with pytest.raises(UserError, match=f"^{said}"):
+            act()
+
+
+@pytest.mark.slow  # the fast tests check types by themselves
+def test_numbers_of_numpy_are_numbers(walk):
+    for number in (np.float32(2), np.int64(2), np.float64(2)):
+        Changes(begin=number, speed=number, turn=number, fps=number, path=())
+        assert walk.trimmed(number).num_frames == walk.num_frames - 40
+        np.testing.assert_array_equal(walk.at_speed(number).positions, walk.at_speed(2).positions)
+    path = np.array([[0, 0], [0, 5]])
+    np.testing.assert_array_equal(walk.along(path).positions, walk.along(path.tolist()).positions)
+
+
 def test_no_change_is_the_same_motion(walk):
     assert Changes().apply(walk) is walk
 

@@ -106,6 +106,11 @@ def test_a_given_length_excludes_what_says_when_a_motion_ends(option, length):
     [
         ({"seconds": "3"}, "seconds: '3' is not a number above 0"),
         ({"num_samples": 2.5}, "num-samples: 2.5 is not a whole number"),
+        ({"seconds": True}, "seconds: True is not a number above 0"),
+        ({"num_samples": True}, "num-samples: True is not a whole number"),
+        ({"seed": True}, "seed: True is not a whole number"),
+        ({"start": WALK, "span": (False, True)}, "span: False to True are not two numbers of seconds"),
+        ({"start": WALK, "span": (0.0, 1.0), "candidates": True}, "candidates: True is not a whole number"),
         ({"start": WALK, "strength": "1"}, "strength: '1' is not a number"),
         ({"start": WALK, "span": ("0", "1")}, "span: '0' to '1' are not two numbers of seconds"),
         ({"seed": 1.5}, "seed: 1.5 is not a whole number"),
