@@ -25,6 +25,8 @@ MIN_DISTANCE = 0.2
 """Two figures whose tops are nearer than this part of a leg are the same person."""
 MIN_TIP = 0.05
 """A joint that is nearer than this part of the shin or of the spine to the one before it is at the same place."""
+FOOT = 0.33
+"""Length of a foot, from ankle to ball, in shins."""
 _SPINE_PLACES = {name: SPINE_HEIGHTS[name] / SPINE_HEIGHTS["neck"] for name in ("spine1", "spine2", "spine3")}
 """Parts of the way from the pelvis to the neck."""
 
@@ -206,7 +208,12 @@ def _toe(bones: Bones, found: Mapping[str, int], side: str) -> int | None:
         for joint in bones.below(ankle)
         if bones.words[joint].side in ("", side) and bones.length(ankle, joint) > MIN_TIP * shin
     ]
-    return max(far, key=rank, default=None)
+    if not far:
+        return None
+    toe = max(far, key=rank)
+    # Second Life calls the ball of the foot a foot, and its tip a toe. That of usual length is taken.
+    named = [joint for joint in far if joint in bones.lines[toe] and "ankle" in bones.words[joint].parts]
+    return min([toe, *named], key=lambda joint: abs(np.log(bones.length(ankle, joint) / (FOOT * shin))))
 
 
 def _add_trunk(bones: Bones, found: dict[str, int]) -> None:

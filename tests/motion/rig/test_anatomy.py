@@ -20,6 +20,7 @@ PLACES = {
     # No joints of HumanML3D.
     "thigh": (0.08, 0.69, 0), "shin": (0.08, 0.28, 0), "arm": (0.3, 1.45, 0), "forearm": (0.56, 1.45, 0),
     "throat": (0, 1.55, 0), "palm": (0.78, 1.45, 0),
+    "heel": (0.08, 0.04, 0.02), "tip": (0.08, 0.02, 0.23),
 }  # fmt: skip
 """Places in meters for the joints of the middle and of the left."""
 TRUNK = "Hips=pelvis Spine=spine1 Spine1=spine2 Spine2=spine3 Neck=neck Head=head"
@@ -101,6 +102,14 @@ RIGS = {
         "arm": "{s}Shoulder=shoulder {s}Elbow=elbow {s}Wrist=wrist",
         "sides": ("L", "R"),
         "arms_on": "neck",
+    },
+    "Second Life, whose toe is the tip of the foot": {
+        "trunk": "mPelvis=pelvis mTorso=spine1 mChest=spine3 mNeck=neck mHead=head",
+        "leg": "mHip{s}=hip mKnee{s}=knee mAnkle{s}=ankle mFoot{s}=foot mToe{s}=tip",
+        "arm": "mCollar{s}=collar mShoulder{s}=shoulder mElbow{s}=elbow mWrist{s}=wrist",
+    },
+    "a foot between ankle and toe that is the heel": {
+        "leg": "{s}Hip=hip {s}Knee=knee {s}Ankle=ankle {s}Foot=heel {s}Toe=foot",
     },
     "arms in small letters": {
         "arm": "{s}clav=collar {s}arm=shoulder {s}forearm=elbow {s}hand=wrist",
