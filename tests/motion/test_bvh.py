@@ -319,6 +319,22 @@ def test_a_written_file_gives_the_positions_back(tmp_path):
     assert np.linalg.norm(clip.positions - positions[:, order], axis=-1).mean() < 1e-3
 
 
+def test_joints_that_a_file_cannot_have_where_they_are_are_said(tmp_path, caplog):
+    caplog.set_level("INFO")
+    positions = walking_positions()
+    save_bvh(tmp_path / "rigid.bvh", Motion(positions, 20.0))
+    assert not caplog.messages
+    # The spine begins up to 5 cm higher in some frames, as in CMU's files.
+    positions[:, INDEX["spine1"], 1] += 0.05 * np.sin(np.arange(len(positions)) / 5) ** 2
+    save_bvh(tmp_path / "moved.bvh", Motion(positions, 20.0))
+    (said,) = caplog.messages
+    clip = load_bvh(tmp_path / "moved.bvh")
+    far = np.linalg.norm(clip.positions[:, clip.joint_names.index("Spine")] - positions[:, INDEX["spine1"]], axis=-1)
+    assert said.startswith(
+        f"{tmp_path / 'moved.bvh'}: joints are up to {1000 * far.max():.0f} mm away from the motion (spine1)"
+    )
+
+
 def test_positions_mean_the_same_to_readers_that_add_and_that_replace(tmp_path):
     path = tmp_path / "walk.bvh"
     save_bvh(path, Motion(positions=walking_positions(10), fps=20.0))

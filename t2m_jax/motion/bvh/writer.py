@@ -1,5 +1,6 @@
 """Writing motions of the 22 joints as BVH files with a T-pose as rest pose, as animation programs expect."""
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -10,12 +11,15 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.files.writing import save_text
 from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
+from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import parts_note
 from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names, root_name
 from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix, matrix_from_quaternion, quaternion_from_matrix
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.travel import Travel, find_travel
+
+logger = logging.getLogger(__name__)
 
 Units = Literal["m", "cm"]
 UNITS_PER_METER: dict[Units, float] = {"m": 1.0, "cm": 100.0}
@@ -26,6 +30,8 @@ _ORDER: EulerOrder = "ZXY"
 _ROTATIONS = " ".join(f"{axis}rotation" for axis in _ORDER)
 _MOVING = f"6 Xposition Yposition Zposition {_ROTATIONS}"
 _LOCKED_COSINE = 1e-4
+FAR = 0.02
+"""Meters between a joint and where the motion has it from which it is said: bones of a BVH file have one length."""
 # Length of each End Site relative to the last bone, up to the crown, the finger tips and the tip of the shoe.
 END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 0.35, "right_foot": 0.35}
 
@@ -51,6 +57,7 @@ def save_bvh(
     if motion.fps < 1:
         raise UserError(f"{path}: {motion.fps:g} frames a second are too few for a BVH file; give it 1 or more")
     rig = fit_rig(motion.positions, fps=motion.fps)
+    _tell_distance(path, motion, rig)
     scale = UNITS_PER_METER[units]
     joints = _hierarchy_lines(scale * rig.offsets, rig_joint_names(names), depth=int(root_bone))
     columns = []
@@ -67,6 +74,21 @@ def save_bvh(
         lines[first] += " " + parts_note(parts, fps=motion.fps)
     lines += ["MOTION", f"Frames: {len(table)}", f"Frame Time: {1 / motion.fps:.9f}", *map(_numbers, table)]
     save_text(path, "\n".join(lines) + "\n")
+
+
+def _tell_distance(path: Path | str, motion: Motion, rig: FittedRig) -> None:
+    """Says how far joints of the file are from those of a motion whose bones change their lengths."""
+    written = forward_kinematics(rig.rotations, rig.translations, HUMANML3D.parents).positions
+    far = np.linalg.norm(written - motion.positions, axis=-1).max(axis=0)
+    if far.max() > FAR:
+        name = HUMANML3D.joint_names[int(far.argmax())]
+        logger.info(
+            "%s: joints are up to %.0f mm away from the motion (%s), whose bones change their lengths; a .glb file "
+            "shows them",
+            path,
+            1000 * far.max(),
+            name,
+        )
 
 
 def _seen_from(travel: Travel, rig: FittedRig) -> FittedRig:
