@@ -109,7 +109,7 @@ FAULTS = (
     ),
     Fault(
         "a cross-fade that runs backwards",
-        "motion/joining.py",
+        "motion/inertialization.py",
         "    return time**2 * (3 - 2 * time)\n",
         "    return 1 - time**2 * (3 - 2 * time)\n",
         "motion/test_joining.py",

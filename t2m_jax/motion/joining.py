@@ -7,18 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from t2m_jax.motion.features import (
-    bone_vectors,
-    facing,
-    gaussian_kernel,
-    local_positions,
-    positions_from_bones,
-    smooth_over_time,
-)
-from t2m_jax.motion.kinematics import rigid_rotations
-from t2m_jax.motion.rotations import quaternion_between, rotate_vectors, unit_vectors
+from t2m_jax.motion.features import facing, gaussian_kernel, local_positions, smooth_over_time
+from t2m_jax.motion.inertialization import Clip, Moment, Pose, fade, follow_on, with_bones_of
+from t2m_jax.motion.rotations import quaternion_between, rotate_vectors
 from t2m_jax.motion.skeleton import Skeleton
-from t2m_jax.motion.torso import hub_bones, torso_frames
 
 FADE_SECONDS = 0.4
 """Time in which a pose, or the features of a sentence, fade into those that follow. Sentences are sampled and decoded
@@ -31,28 +23,14 @@ SEAM_SIGMA = 0.1
 accelerate there with it."""
 OVERLAP = 12
 """Frames in which one clip of features fades into another one that was recorded, at a cut between poses that match."""
-TORSO_AXIS = 0.05
-"""Length of the axes of the torso that are fitted together with the bones of pelvis and chest. If these are nearly
-parallel, they alone do not say how a pelvis or a chest is turned about them; meters."""
 VELOCITY_SECONDS = 0.2
 """A difference of 1 m/s counts as much as a difference of this many meters."""
 
-Clip = Float[np.ndarray, "_ J 3"]
-"""Positions of a motion's joints."""
-Pose = Float[np.ndarray, "J 3"]
-"""Positions of one frame."""
 Features = Float[np.ndarray, "_ D"]
 """Raw features of a motion."""
 
 HORIZONTAL = np.array([1.0, 0.0, 1.0], np.float32)
 """Leaves out heights."""
-
-
-def fade(time: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Returns the share of what follows: 0 until time 0, 1 from time 1, between them a cubic curve, level at both."""
-    time = np.clip(time, 0, 1)
-    # Smoothstep. After a linear cross-fade, velocities would jump at both ends.
-    return time**2 * (3 - 2 * time)
 
 
 class Cut(NamedTuple):
@@ -126,22 +104,6 @@ def place_positions(positions: Clip, pose: Pose, target: Pose, *, skeleton: Skel
     return rotate_vectors(turn[None, None], positions - pose[0] * HORIZONTAL) + target[0] * HORIZONTAL
 
 
-def fading_change(differences: Clip, count: int) -> Clip:
-    """Returns what to add to the `count` frames after a join, so that they follow smoothly from the frames before it.
-
-    Args:
-        differences: What the last one or two frames before the join differ by from those that lead to the frames after
-            it; the last frame comes first.
-        count: Frames in which a cubic curve goes from this difference and its velocity to zero.
-    """
-    change = differences[0]
-    # Without a second frame, there is no velocity to go on with.
-    speed = change - differences[1] if len(differences) > 1 else 0 * change
-    time = (np.arange(1, count + 1) / (count + 1))[:, None, None]
-    # A cubic Hermite curve. `speed` is per frame, and time goes from 0 to 1 in `count` + 1 frames.
-    return (1 - fade(time)) * change + (count + 1) * time * (1 - time) ** 2 * speed
-
-
 def replace_middle(
     head: Clip, generated: Clip, tail: Clip, *, first: int, last: int, fps: float, skeleton: Skeleton
 ) -> Clip:
@@ -167,47 +129,38 @@ def replace_middle(
     middle = generated[first:last].astype(np.float64)
     count = min(round(FADE_SECONDS * fps), last - first)
     if len(head):
-        differences = (head[-2:] - generated[max(0, first - 2) : first])[::-1]
-        middle[:count] += fading_change(differences, count)
+        moments = [Moment.at_end(frames, skeleton) for frames in (head, generated[:first])]
+        middle = follow_on(middle, *moments, count=count, skeleton=skeleton)
     if len(tail):
-        middle[-count:] += fading_change(tail[:2] - generated[last : last + 2], count)[::-1]
+        # Backward in time, the middle follows the tail.
+        moments = [Moment.at_end(frames[2::-1], skeleton) for frames in (tail, generated[last:])]
+        middle = follow_on(middle[::-1], *moments, count=count, skeleton=skeleton)[::-1]
     # Without frames beside it, the middle has the bones of its own first frame.
     beside = np.concatenate([head[-1:], tail[:1]]) if len(head) or len(tail) else middle[:1]
     middle = with_bones_of(beside, middle, skeleton)
     return np.concatenate([head, middle, tail]).astype(np.float32)
 
 
-def with_bones_of(beside: Clip, middle: Clip, skeleton: Skeleton) -> Clip:
-    """Returns frames with the lengths of bones, and the shapes of pelvis and chest, of the first and last frame beside.
-
-    If these two differ, as in motion as decoded, the lengths and shapes go from the first to the last.
-    """
-    share = (np.arange(1, len(middle) + 1) / (len(middle) + 1))[:, None, None]
-    first, last = bone_vectors(beside, skeleton).astype(np.float64)[[0, -1]]
-    lengths = np.linalg.norm([first, last], axis=-1, keepdims=True)
-    turned = unit_vectors(bone_vectors(middle, skeleton)) * ((1 - share) * lengths[0] + share * lengths[1])
-    axes, own_axes = (TORSO_AXIS * torso_frames(part, skeleton) for part in (beside, middle))
-    for hub in hub_bones(skeleton):
-        rest = np.concatenate([first[hub], axes[0]])
-        end = last[hub] @ rigid_rotations(rest, np.concatenate([last[hub], axes[-1]]))  # turned as the first
-        turns = rigid_rotations(rest, np.concatenate([turned[:, hub], own_axes], axis=1))
-        turned[:, hub] = ((1 - share) * first[hub] + share * end) @ np.swapaxes(turns, 1, 2)
-    result = positions_from_bones(middle[:, 0], turned, skeleton)
-    # With another pelvis, the root is elsewhere between the hips. The hips stay, and with them the feet.
-    hips = list(skeleton.face_joints[:2])
-    return result + (middle[:, hips] - result[:, hips]).mean(axis=1, keepdims=True)
-
-
 def join_positions(first: Clip, second: Clip, *, fps: float, skeleton: Skeleton) -> Clip:
     """Returns one motion after another, T + U - 1 frames.
 
     The second one is turned and moved, so that its first frame has the place and the heading of the last frame of the
-    first one, which it replaces. What remains of the difference of these two poses fades out.
+    first one, which it replaces. What remains of the difference of these two poses, and of their velocities, fades out.
+    Bones keep their lengths; those of another figure go from one length to the other.
     """
     moved = place_positions(second, second[0], first[-1], skeleton=skeleton)
-    left = 1 - fade(np.arange(len(second)) / (FADE_SECONDS * fps))[:, None, None]
-    blended = moved + left * (first[-1] - moved[0])
-    return np.concatenate([first, blended[1:]]).astype(np.float32)
+    count = math.ceil(FADE_SECONDS * fps) - 1
+    moments = [Moment.at_end(first, skeleton), Moment.at_start(moved, skeleton)]
+    # Two parts of one motion differ by less than it accelerates. They become this motion again.
+    apart = np.linalg.norm(first[-1] - moved[0]) + np.linalg.norm(moments[0].velocity - moments[1].velocity)
+    usual = sum(float(np.linalg.norm(moment.acceleration)) for moment in moments)
+    share = fade(np.array([2 * apart / max(usual, 1e-9) - 1]))
+    moments = [moment._replace(velocity=share * moment.velocity) for moment in moments]
+    after = follow_on(moved[1:], *moments, count=count, skeleton=skeleton)
+    if len(after):
+        beside = np.stack([first[-1], moved[1:][: count + 1][-1]])
+        after[:count] = with_bones_of(beside, after[:count], skeleton)
+    return np.concatenate([first, after]).astype(np.float32)
 
 
 def ease_seams(positions: Clip, seams: Sequence[int], *, fps: float) -> Clip:

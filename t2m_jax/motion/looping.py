@@ -7,7 +7,8 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.motion.features import bone_vectors, positions_from_bones
-from t2m_jax.motion.joining import HORIZONTAL, SEAM_SECONDS, VELOCITY_SECONDS, Clip, fading_change
+from t2m_jax.motion.inertialization import fading_change
+from t2m_jax.motion.joining import HORIZONTAL, SEAM_SECONDS, VELOCITY_SECONDS, Clip
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.travel import above_origin
@@ -89,8 +90,8 @@ def close_loop(positions: Clip, loop: Loop, *, fps: float, skeleton: Skeleton) -
     count = min(round(SEAM_SECONDS * fps), len(part) - 2)
     closed = part.copy()
     closed[0] -= shift
-    closed[1 : count + 1] += fading_change(np.stack([-shift, faster - shift]), count)
-    closed[-count - 1 : -1] += fading_change(np.stack([shift, shift + faster]), count)[::-1]
+    closed[1 : count + 1] += fading_change(-shift, -faster, count)
+    closed[-count - 1 : -1] += fading_change(shift, -faster, count)[::-1]
     closed[-1] += shift
     return _with_bones_of(part, closed, skeleton).astype(np.float32)
 

@@ -14,14 +14,13 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.features import bone_vectors, facing, positions_from_bones
-from t2m_jax.motion.joining import place_positions, with_bones_of
-from t2m_jax.motion.kinematics import rigid_rotations
+from t2m_jax.motion.inertialization import pose_change, with_bones_of
+from t2m_jax.motion.joining import place_positions
 from t2m_jax.motion.legs import move_foot, reaching_bends
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.targets import FACING, POSE, ROOT, Target, facing_degrees
-from t2m_jax.motion.torso import hub_bones
 
 FADE_SECONDS = 0.5
 """Time in which a movement to a target begins, and in which it ends."""
@@ -129,9 +128,9 @@ def _posed(positions: Clip, targets: Sequence[Target], motion: Motion) -> Clip:
         pose = _pose_of(target, positions, motion)
         for frame in _frames(target, motion):
             (goal,) = place_positions(pose, pose[0], positions[frame], skeleton=skeleton)
-            (goal_bones,) = bone_vectors(goal[None], skeleton)
-            rise = np.array([[0.0, goal[0, 1] - positions[frame, 0, 1], 0.0]])
-            wanted[frame] = np.concatenate([rise, _bone_turns(bones[frame], goal_bones, skeleton)]).ravel()
+            change = pose_change(positions[frame], goal, skeleton)
+            change[0] = [0.0, goal[0, 1] - positions[frame, 0, 1], 0.0]
+            wanted[frame] = change.ravel()
     changes = _faded(wanted, motion).reshape(positions.shape)
     turned = Rotation.from_rotvec(changes[:, 1:].reshape(-1, 3)).apply(bones.reshape(-1, 3)).reshape(bones.shape)
     posed = positions_from_bones(positions[:, 0] + changes[:, 0], turned, skeleton)
@@ -145,21 +144,6 @@ def _pose_of(target: Target, positions: Clip, motion: Motion) -> Float[np.ndarra
     own = bone_vectors(positions[_frames(target, motion)[:1]], motion.skeleton)
     bones = unit_vectors(bone_vectors(pose, motion.skeleton)) * np.linalg.norm(own, axis=-1, keepdims=True)
     return positions_from_bones(pose[:, 0], bones, motion.skeleton)
-
-
-def _bone_turns(
-    bones: Float[np.ndarray, "B 3"], goal: Float[np.ndarray, "B 3"], skeleton: Skeleton
-) -> Float[np.ndarray, "B 3"]:
-    """Returns the rotation vectors that turn the bones of a pose into those of another one."""
-    from scipy.spatial.transform import Rotation  # here, because it takes long to import
-
-    axes = np.cross(bones, goal)
-    sines = np.linalg.norm(axes, axis=-1, keepdims=True)
-    angles = np.arctan2(sines, np.sum(bones * goal, axis=-1, keepdims=True))
-    turns = angles * axes / np.maximum(sines, np.finfo(float).tiny)
-    for hub in hub_bones(skeleton):
-        turns[hub] = Rotation.from_matrix(rigid_rotations(bones[hub], goal[hub])).as_rotvec()
-    return turns
 
 
 def _shift(positions: Clip, targets: Sequence[Target], motion: Motion) -> Float[np.ndarray, "T 3"]:

@@ -20,7 +20,7 @@ from t2m_jax.data.writer import ImportReport, check_count, finish_folder, new_fo
 from t2m_jax.errors import UserError
 from t2m_jax.field_checks import check_seed
 from t2m_jax.motion.facts import measure
-from t2m_jax.motion.joining import fade
+from t2m_jax.motion.inertialization import fade
 from t2m_jax.motion.rotations import turned_about_y
 from t2m_jax.motion.skeleton import HUMANML3D
 
