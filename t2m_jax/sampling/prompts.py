@@ -62,11 +62,12 @@ def read_prompts(
         UserError: A sentence cannot be used.
     """
     prompts = []
+    known = knowledge.words.union(knowledge.actions)
     for caption, note in zip(captions, notes or [""] * len(captions), strict=True):
         text = check_prompt(caption)
         read, corrected = correct_spelling(text, knowledge.words, rare=knowledge.taught)
         if knowledge.is_labeled:
-            read, gaits = with_directions(read, knowledge.words.union(knowledge.actions))
+            read, gaits = with_directions(read, known)
             corrected |= gaits
         # Some encoders cut long sentences, and the warning names what is not read.
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read

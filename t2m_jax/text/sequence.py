@@ -88,7 +88,7 @@ _PLACES = word_set("back box fence floor last place seat second train ward windo
 _OBJECTS = word_set("at down her him himself herself it itself off on out them up")
 """Words that make a verb of a word before them that may be a noun: "opens it", "leans on the bar"."""
 _ON_THE_WAY = re.compile(
-    rf"^(?:carr\w+|goes|keep\w*|kept|continu\w+|moves|walks|runs) on\b|^(?:keep\w*|kept|continu\w+)\b|"
+    r"^(?:carr\w+|go\w*|went|mov\w+|walk\w*|r[au]n\w*) on\b|^(?:keep\w*|kept|continu\w+)\b|"
     rf"\b(?:all the way|on the way|(?:as|while) (?:{_PERSON}|\w+ing)|the (?:entire|whole) (?:time|way))\b",
     re.IGNORECASE,
 )
@@ -102,10 +102,11 @@ _OPENING = re.compile(
 def split_sequence(caption: str, known: Collection[str]) -> tuple[str, ...]:
     """Returns the actions of a sentence in the order in which they happen, each as a sentence.
 
-    It is cut at words such as `then`, `before`, `after` and `followed by`, and in a list of verbs, if there is an
-    action on both sides: "runs after the bus" is one action, and so are walking around a corner and raising a hand and
-    lowering it. What only names another side is filled in: "waves with the left hand, then the right" is two waves.
-    Other sentences are returned whole, also those with `not`.
+    It is cut at words such as `then`, `before`, `after` and `followed by`, in a list of verbs, and at an "and" beside a
+    way to a place, a turn or another posture ("walks in and waves"), if there is an action on both sides: "runs after
+    the bus" is one action, and so are walking around a corner and raising a hand and lowering it. What only names
+    another side is filled in: "waves with the left hand, then the right" is two waves. Other sentences are returned
+    whole, also those with `not`.
 
     Args:
         caption: A checked sentence.

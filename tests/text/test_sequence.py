@@ -152,6 +152,7 @@ def test_two_postures_are_in_turn(known, caption, parts):
         "walks down the hall and turns left",
         "strolls along the lake and waves all the way",
         "walks through the gate and walks on",
+        "he ran to the gate and went on",
         "he runs to the door and back",
     ],
 )
