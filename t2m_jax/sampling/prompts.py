@@ -67,7 +67,7 @@ def read_prompts(
         text = check_prompt(caption)
         read, corrected = correct_spelling(text, knowledge.words, rare=knowledge.taught)
         if knowledge.is_labeled:
-            read, gaits = with_directions(read, known)
+            read, gaits = with_directions(read, known, knowledge.actions)
             corrected |= gaits
         # Some encoders cut long sentences, and the warning names what is not read.
         read_part = encoder.read_part(read) if isinstance(encoder, CuttingTextEncoder) else read

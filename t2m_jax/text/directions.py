@@ -64,7 +64,7 @@ _THROUGH = "(?:across|along|behind|down|inside|out|outside|over|past|through|up)
 _WAY = pattern(
     r"(?: all the way| forward| just| straight|,? \w+ly)* (?:",
     rf"(?:into|onto|out of|toward|towards)\b|{_GOAL}|{_THROUGH} {_A}|(?:closer|here|home|on stage)\b|",
-    rf"(?:away|off)(?! {_A})|(?:along|down|in|out|over|up) from\b|",
+    rf"(?:away|off)(?! {_A})|(?:along|back|down|in|out|over|up) from\b|",
     rf"(?:along|back|down|in|on|out|over|up) (?:{_GOAL}|(?:{_THROUGH}|here|home|into|onto|the way|there|towards?)\b)|",
     r"(?:back|elsewhere|in|indoors|inside|out|outdoors|outside|somewhere(?: else)?)(?=$|[.,;!?]))",
 )
@@ -113,23 +113,31 @@ _TURN = pattern(
     rf"(?![\w-]| (?:{_A}|and (?:a?round|about)\b))",
 )
 """A turn by half a circle. "Turns around the corner" is a path."""
+_TURNS_AROUND = "a person turns around to the right on the spot"
+_STILL = word_set("stand stay stop talk tell wait")
+"""What somebody may do who turns around, without another motion."""
 _SIDE = pattern(r"\b(?:\w*clockwise|circles?|corner|left|right(?! a?round)|times|twice)\b")
 _ON_THE_SPOT = pattern(r"\b(?:in place|on the spot)\b")
 _WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
 
 
-def with_directions(prompt: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
+def with_directions(prompt: str, known: Collection[str], actions: Collection[str] = ()) -> tuple[str, dict[str, str]]:
     """Returns a sentence with the directions that it leaves out, and which gaits were read as walking or running.
 
-    Who goes somewhere goes forward, and who turns around does so on the spot and to the right. Other sentences, and
-    those that name a direction, stay as they are.
+    Who goes somewhere goes forward, and who turns around does so on the spot and to the right; if that is the only
+    action, nothing else of the sentence is kept. Other sentences, and those that name a direction, stay as they are.
 
     Args:
         prompt: A checked sentence.
         known: Words that captions have. Other gaits are read as walking or running.
+        actions: Of the model; empty if it has no record of them.
     """
     turn = find_turn(prompt)
     if turn is not None:
+        others = words_of(f"{prompt[: turn.start()]}, {prompt[turn.end() :]}")
+        # "So that she sees who is there" or "while standing" would turn her less.
+        if actions and _STILL.issuperset(word.action for word in others if word.action in actions):
+            return _TURNS_AROUND, {}
         verb = _in_form_of(turn[turn.lastgroup or 0], "turn")
         spot = "" if _ON_THE_SPOT.search(prompt) else " on the spot"
         return f"{prompt[: turn.start()]}{verb} around to the right{spot}{prompt[turn.end() :]}", {}

@@ -13,6 +13,7 @@ KNOWN = word_set("a person walk run stroll jog stagger forward to the")
     [
         # Without a gait.
         ("he returns", "he walks forward"),
+        ("she ran back from the lake", "she ran forward from the lake"),
         ("she returned to the barn", "she walked forward to the barn"),
         ("a boy is coming over to the gate", "a boy is walking forward to the gate"),
         ("enter the cave", "walk forward into the cave"),
@@ -49,6 +50,27 @@ def test_who_goes_somewhere_goes_forward(sentence, read):
 )
 def test_a_gait_that_no_caption_has_is_read_as_another(sentence, read, gaits):
     assert with_directions(sentence, KNOWN) == (read, gaits)
+
+
+ACTIONS = word_set("clap jump stand turn walk")
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "startled by a bang, the cook spins around to look behind him",
+        "the clerk turned around while standing at the counter",
+        "the driver stops and turns to face the other way, without a word",
+    ],
+)
+def test_who_only_turns_around_does_nothing_else(sentence):
+    assert with_directions(sentence, KNOWN, ACTIONS)[0] == "a person turns around to the right on the spot"
+
+
+def test_who_turns_around_and_does_something_else_does_both():
+    for sentence in ("claps and turns around", "turns around clapping"):
+        read, _ = with_directions(sentence, KNOWN, ACTIONS)
+        assert "clap" in read and "turns around to the right on the spot" in read
 
 
 @pytest.mark.parametrize(
