@@ -1,4 +1,7 @@
-"""Of several samples, the one that does what its sentence says: how often ("kicks twice"), how fast, on which side."""
+"""Of several samples, the one that does what its sentence says.
+
+That is how often something is done ("kicks twice"), how fast, with which side, or with legs and arms at once.
+"""
 
 import itertools
 import math
@@ -10,25 +13,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Key
 
+from t2m_jax.motion.at_once import GAIT_SPEEDS, LEGS, arms_do
+from t2m_jax.motion.facts import measure
 from t2m_jax.motion.repetitions import COUNTED_ACTIONS, side_lead
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.sampling.decode import Codes, decode_motions
 from t2m_jax.sampling.model import ModelParts
+from t2m_jax.text.at_once import SaidAtOnce, in_plain_words
 from t2m_jax.text.counts import SaidSide, Times
 from t2m_jax.text.paces import SaidPace
 
-Wanted = Times | SaidPace | SaidSide
+Wanted = Times | SaidPace | SaidSide | SaidAtOnce
 """What a sample is chosen by."""
 _CANDIDATE_STREAM = 2**30 + 2
 """In place of a sample's number, in keys for the candidates of a motion."""
 COUNT_CANDIDATES = 16
 """Samples to choose from by a count."""
+AT_ONCE_CANDIDATES = 8
+"""Samples to choose from by what legs and arms do at once, the second half of them for a sentence in plain words."""
 FEW_CANDIDATES = 4
 """Samples to choose from by their pace or side."""
 CLEAR_LEAD = 0.15
 """Meters by which a leg or an arm does more than the other if it is the one that does it."""
-GAIT_SPEEDS = {"walk": (0.3, 2.0), "run": (1.2, math.inf)}
-"""Slowest and fastest motion of a gait in m/s. People begin to run at about 2 m/s (Hreljac, 1993)."""
 SLOWEST_SHARE = 0.4
 """Of the median speed of the candidates. A slower one hardly shows its action."""
 SHORTEST_SECONDS = 1.2
@@ -38,8 +44,16 @@ SHORTEST_SECONDS = 1.2
 def candidate_keys(key: Key[jax.Array, ""], wanted: Wanted) -> Key[jax.Array, " C"]:
     """Returns the keys of the candidates for a motion. The first one is the motion without a choice."""
     stream = jax.random.fold_in(key, _CANDIDATE_STREAM)
-    count = COUNT_CANDIDATES if isinstance(wanted, Times) else FEW_CANDIDATES
+    counts = {Times: COUNT_CANDIDATES, SaidAtOnce: AT_ONCE_CANDIDATES}
+    count = counts.get(type(wanted), FEW_CANDIDATES)
     return jnp.stack([key, *(jax.random.fold_in(stream, number) for number in range(1, count))])
+
+
+def candidate_texts(text: str, wanted: Wanted, count: int) -> list[str]:
+    """Returns the sentences of `count` candidates: that of the motion, and in plain words where few samples show it."""
+    plain = in_plain_words(wanted) if isinstance(wanted, SaidAtOnce) else ""
+    own = count // 2 if plain else count
+    return [text] * own + [plain] * (count - own)
 
 
 def choose(model: ModelParts, candidates: Sequence[Codes], wanted: Wanted, *, most_rows: int) -> Codes:
@@ -48,6 +62,8 @@ def choose(model: ModelParts, candidates: Sequence[Codes], wanted: Wanted, *, mo
         return choose_by_count(model, candidates, wanted, most_rows=most_rows)
     if isinstance(wanted, SaidSide):
         return choose_by_side(model, candidates, wanted)
+    if isinstance(wanted, SaidAtOnce):
+        return choose_at_once(model, candidates, wanted)
     return choose_by_pace(model, candidates, wanted)
 
 
@@ -83,6 +99,21 @@ def choose_by_side(model: ModelParts, candidates: Sequence[Codes], wanted: SaidS
     leads = [side_lead(wanted.action, wanted.side, positions) for positions in _decoded(model, candidates)]
     clear = (number for number, lead in enumerate(leads) if lead >= CLEAR_LEAD)
     return candidates[next(clear, int(np.argmax(leads)))]
+
+
+def choose_at_once(model: ModelParts, candidates: Sequence[Codes], wanted: SaidAtOnce) -> Codes:
+    """Returns the codes of the first motion in which legs and arms both do what is asked for, or else one of them."""
+    scores = [_num_shown(wanted, positions, fps=model.skeleton.fps) for positions in _decoded(model, candidates)]
+    return candidates[int(np.argmax(scores))]
+
+
+def _num_shown(wanted: SaidAtOnce, positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> int:
+    """Returns whether both legs and arms (2), one of them (1) or neither (0) do what is asked for."""
+    if len(positions) < 2:
+        return 0
+    facts = measure(positions, fps=fps)
+    legs_do = not wanted.legs or LEGS[wanted.legs](facts)
+    return legs_do + arms_do(wanted.arms, wanted.hands, positions, facts)
 
 
 def mean_speed(positions: Float[np.ndarray, "T J 3"]) -> float:

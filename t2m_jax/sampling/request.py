@@ -18,6 +18,7 @@ from t2m_jax.motion.targets import Target
 from t2m_jax.sampling.prompts import MAX_BATCH
 from t2m_jax.sampling.stopping import make_stop_rule
 from t2m_jax.sampling.strategies import Strategy, make_strategy
+from t2m_jax.text.at_once import SaidAtOnce, said_at_once
 from t2m_jax.text.counts import SaidSide, Times, said_side, said_times
 from t2m_jax.text.coverage import Knowledge
 from t2m_jax.text.paces import SaidPace, said_pace
@@ -83,8 +84,9 @@ class SamplingOptions:
     whole: bool = False
     """Whether a sentence is sampled as it is. By default, one of several actions in turn ("walks, then waves") is
     sampled action by action, if there is a record of the actions that the model knows; "for five seconds" sets the
-    length; of "kicks twice", that of 16 samples is taken, or made by a cut or a repetition, that shows it twice; and of
-    "walks slowly", the slowest of 4 samples. Changes of a motion and targets decide all this themselves."""
+    length; of "kicks twice", that of 16 samples is taken, or made by a cut or a repetition, that shows it twice; of
+    "walks slowly", the slowest of 4 samples; and of "waves while walking", the first of 8 that does both. Changes of a
+    motion and targets decide all this themselves."""
 
     def __post_init__(self) -> None:
         """Checks each field.
@@ -173,7 +175,8 @@ class MotionRequest:
     def is_plain(self) -> bool:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
         is_alone = len(self.captions) == 1 and self.start is None and not self.targets
-        return is_alone and self.lengths == self.times == self.paces == self.sides == (None,)
+        said = (self.lengths, self.times, self.paces, self.sides, self.at_once)
+        return is_alone and all(one == (None,) for one in said)
 
     @property
     def is_bound(self) -> bool:
@@ -204,6 +207,11 @@ class MotionRequest:
     def sides(self) -> tuple[SaidSide | None, ...]:
         """With which leg or arm each sentence says that something is done."""
         return self._said(functools.partial(said_side, sided=SIDED_ACTIONS))
+
+    @functools.cached_property
+    def at_once(self) -> tuple[SaidAtOnce | None, ...]:
+        """What each sentence says that legs and arms do at the same time."""
+        return self._said(said_at_once)
 
     def _said(self, read: Callable[[str], T | None]) -> tuple[T | None, ...]:
         """Returns what a function reads in each sentence, None for all if quantities are not read."""
@@ -318,6 +326,7 @@ def _with_quantities(caption: str, knowledge: Knowledge) -> str:
 
 
 def _quantities(caption: str, known: Collection[str]) -> tuple[Any, ...]:
-    """Returns how many actions a sentence says in turn, how long, how often and how fast."""
+    """Returns how many actions a sentence says in turn and which at once, how long, how often and how fast."""
     parts = len(split_sequence(caption, known))
-    return parts, said_seconds(caption), said_times(caption, COUNTED_ACTIONS), said_pace(caption)
+    times = said_times(caption, COUNTED_ACTIONS)
+    return parts, said_seconds(caption), times, said_pace(caption), said_at_once(caption)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Key
 
-from t2m_jax.sampling.choosing import Wanted, candidate_keys, choose
+from t2m_jax.sampling.choosing import Wanted, candidate_keys, candidate_texts, choose
 from t2m_jax.sampling.decode import Codes
 from t2m_jax.sampling.loop import Given, Sampling
 from t2m_jax.sampling.model import ModelParts
@@ -103,10 +103,13 @@ def sample_segments(
         # Teacher forcing for the context: its rows are given, and the generator continues after them.
         context = [codes[-context_rows(model) :] for codes in before]
         if segment.wanted is None:
-            new = sample(segment, context, own_keys)
+            new = sample(segment, [segment.prompt.read] * len(keys), context, own_keys)
         else:
             tried = [candidate_keys(key, segment.wanted) for key in own_keys]
-            found = [sample(segment, [own] * len(tries), tries) for own, tries in zip(context, tried, strict=True)]
+            texts = candidate_texts(segment.prompt.read, segment.wanted, len(tried[0]))
+            found = [
+                sample(segment, texts, [own] * len(texts), tries) for own, tries in zip(context, tried, strict=True)
+            ]
             # A length that was asked for stays.
             most_rows = 0 if segment.num_rows else sampling.max_codes
             new = [choose(model, candidates, segment.wanted, most_rows=most_rows) for candidates in found]
@@ -118,19 +121,20 @@ def sample_segments(
 def _sample_segment(
     model: ModelParts,
     segment: Segment,
+    texts: Sequence[str],
     context: Sequence[Codes],
     keys: Key[jax.Array, " B"],
     *,
     sampling: Sampling,
     guidance_scale: float | None,
 ) -> list[Codes]:
-    """Returns the new codes of a segment of each motion, after those of its context."""
+    """Returns the new codes of a segment of each motion, after those of its context; `texts` are what is read."""
     lengths = np.array([len(codes) for codes in context], np.int32)
     # A given length may need all rows that the generator can sample, whatever the longest free length is.
     longest = model.config.generator.max_codes
     limit = longest if segment.num_rows else min(longest, sampling.max_codes + int(lengths.max()))
     sampled = model.sample_codes(
-        model.text_encoder([segment.prompt.read] * len(context)),
+        model.text_encoder(texts),
         keys,
         sampling._replace(max_codes=limit),
         guidance_scale=guidance_scale,

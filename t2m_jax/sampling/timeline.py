@@ -79,11 +79,13 @@ def _read_chain(
     limit = most_rows(model)
     # Of this skeleton alone, it is known which joints do something.
     nothing = (None,) * len(prompts)
-    times, sides = (request.times, request.sides) if model.skeleton == HUMANML3D else (nothing, nothing)
+    times, sides, at_once = (
+        (request.times, request.sides, request.at_once) if model.skeleton == HUMANML3D else (nothing, nothing, nothing)
+    )
     segments = (
-        # A count is more than a side, and this more than a pace: "slowly kicks three times with the left leg".
-        split_segments(prompt, own, limit=limit, wanted=count or side or pace)
-        for prompt, own, count, side, pace in zip(prompts, rows, times, sides, request.paces, strict=True)
+        # What is said first here counts most: "slowly kicks three times with the left leg".
+        split_segments(prompt, own, limit=limit, wanted=next(filter(None, said), None))
+        for prompt, own, *said in zip(prompts, rows, times, sides, at_once, request.paces, strict=True)
     )
     return list(itertools.chain.from_iterable(segments)), start
 

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.motion.skeleton import JOINT, KIT_ML
 from t2m_jax.sampling.choosing import (
+    AT_ONCE_CANDIDATES,
     FEW_CANDIDATES,
     SLOWEST_SHARE,
     candidate_keys,
+    candidate_texts,
     choose,
     choose_by_count,
     choose_by_pace,
@@ -19,6 +22,7 @@ from t2m_jax.sampling.pipeline import TextToMotion
 from t2m_jax.sampling.prompts import Prompt, sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import split_segments
+from t2m_jax.text.at_once import SaidAtOnce, in_plain_words
 from t2m_jax.text.counts import SaidSide, Times
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.paces import SaidPace
@@ -40,7 +44,7 @@ def candidates_of(model, caption, wanted):
     """Returns the codes that a sentence may give with seed 3."""
     parts = model.parts
     keys = candidate_keys(sample_key(3, caption, 0), wanted)
-    texts = parts.text_encoder([caption] * len(keys))
+    texts = parts.text_encoder(candidate_texts(caption, wanted, len(keys)))
     sampled = parts.sample_codes(texts, keys, model.parts.sampling())
     lengths = np.asarray(sampled.code_lengths)
     return [codes[:length] for codes, length in zip(np.asarray(sampled.codes), lengths, strict=True)]
@@ -179,6 +183,47 @@ def test_a_kick_with_a_side_is_one_of_few_samples(model):
     np.testing.assert_array_equal(motion.codes, choose(model.parts, candidates, side, most_rows=0))
     (whole,) = model.generate(caption, seed=3, whole=True)
     np.testing.assert_array_equal(whole.codes, candidates[0])
+
+
+LEFT = frozenset({"left"})
+
+
+def test_legs_and_arms_are_both_chosen(model, monkeypatch):
+    walk, wave, wrong = (
+        make_motion(kind, seed=1, num_frames=60) for kind in ("walk", "wave-left-hand", "wave-right-hand")
+    )
+    both = wave + (walk - walk[:1])[:, :1]  # the waving body, moved along the walk
+
+    def chosen(*shown, legs="walk"):
+        monkeypatch.setattr("t2m_jax.sampling.choosing._decoded", lambda model, candidates: shown)
+        candidates = [np.full((1, 1), number) for number in range(len(shown))]
+        return int(choose(model.parts, candidates, SaidAtOnce(legs, "wave", LEFT), most_rows=0)[0, 0])
+
+    assert chosen(wrong, walk, wave, both, both) == 3
+    assert chosen(wrong, wave, walk) == 1, "none does both; the first that does one"
+    assert chosen(walk, wave, both, legs="") == 1, "the path is not checked"
+    assert chosen(walk[:1], wrong) == 0, "one frame shows nothing"
+
+
+def test_what_is_done_at_once_is_one_of_some_samples(model):
+    caption, said = "she waves the left hand as she walks", SaidAtOnce("walk", "wave", LEFT)
+    texts = candidate_texts(caption, said, AT_ONCE_CANDIDATES)
+    assert texts == [caption] * 4 + [in_plain_words(said)] * 4
+    assert candidate_texts(caption, said._replace(legs=""), 3) == [caption] * 3
+    assert candidate_texts(JUMPS, TIMES, 2) == [JUMPS] * 2
+    candidates = candidates_of(model, caption, said)
+    (motion,) = model.generate(caption, seed=3)
+    np.testing.assert_array_equal(motion.codes, choose(model.parts, candidates, said, most_rows=0))
+    (whole,) = model.generate(caption, seed=3, whole=True)
+    np.testing.assert_array_equal(whole.codes, candidates[0])
+
+
+def test_only_sentences_of_legs_and_arms_are_chosen_by_them():
+    request = MotionRequest(captions=("runs while clapping", "a person runs"))
+    assert request.at_once == (SaidAtOnce("run", "clap", frozenset()), None)
+    assert not MotionRequest(captions=request.captions[:1]).is_plain
+    assert MotionRequest(captions=request.captions[:1], options=SamplingOptions(whole=True)).is_plain
+    assert MotionRequest(captions=request.captions[1:]).is_plain
 
 
 def test_who_hardly_moves_is_not_slow(chosen):

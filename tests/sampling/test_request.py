@@ -311,11 +311,12 @@ def test_a_stream_of_actions_in_turn_is_their_motion(knowing):
         ("waves three tmies", ("waves three times",)),
         ("walks for fiev seconds", ("walks for five seconds",)),
         ("walks slowyl", ("walks slowly",)),
+        ("wvaes while a person walks", ("waves while a person walks",)),
         ("a person wlaks", ("a person wlaks",)),  # corrected when it is read, and the warning says so
     ],
 )
 def test_mistakes_that_hide_an_order_or_a_number_are_corrected_first(typed, read):
-    words = word_set("a person walks forward waves then three times for five seconds slowly")
+    words = word_set("a person walks forward waves while then three times for five seconds slowly")
     assert MotionRequest(captions=(typed,)).in_turn(Knowledge(words, ("walk", "wave"))).captions == read
 
 
