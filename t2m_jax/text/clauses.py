@@ -35,7 +35,7 @@ _ENDS = re.compile(
     rf"(?:(?:{'|'.join(sorted(SUBJECTS))}) )?(?:(?:lower|relax|return)(?:e?s|ed|ing)?(?: again)?$|"
     r"(?:lower|relax|return|drop)(?:e?s|p?ed|p?ing)? (?:it|them|(?:his|her|its|the|their|your|both) )|"
     r"return(?:s|ed|ing)? to (?:\w+ )?(?:start|side|rest|normal|neutral|standing|original|initial|first|same)|"
-    r"repeat|back\b|step by|rights? \w+sel)",
+    r"put(?:s|ting)? (?:(?:his|her|its|the|their|your) )?\w+ away|repeat|back\b|step by|rights? \w+sel)",
     re.IGNORECASE,
 )
 """What ends or repeats the action before, whatever that is."""

@@ -18,7 +18,7 @@ _THEN = rf"(?:then(?! and there)|afterwards?|{_AFTER_THAT}|subsequently|thereaft
 # Words that say an order only behind a comma or an "and": not "a next step" or "walks next to it".
 _LATER = r"(?:next(?! to)|finally|lastly|eventually|(?:a \w+ |a (?:bit|little) )?later|at last|in the end|at the end)"
 _NO_ORDER = r"(?<!now and)(?<!\bby)(?<!since)(?<!until)(?<!back)"
-_TIME = r"(?:another|each|one|a while|[\w ]{1,20}(?:second|minute|moment|step|meter|pace|time)s?)\b"
+_TIME = r"(?:another|each|one|a while|[\w ]{0,20}(?:second|minute|moment|step|meter|pace|time)s?)\b"
 _CLAUSE = rf"(?= (?:{_PERSON}|the|his|her|its|their) )"
 _DONE = rf"(?= {_PERSON} (?:has|have|had|is|are) )"
 _AFTER = rf"{_JUST}(?:after(?! {_TIME})|once{_CLAUSE}|upon|as soon as|when{_DONE})"
@@ -71,12 +71,16 @@ _ORDERS = (
     _order(rf"(?P<first>.+?){_NO_ORDER}(?:{_AND}? |\.\.\.? ?){_THEN},? (?P<second>.+)"),
     _order(r"(?P<first>.+?),? followed (?:[\w ]{1,20} )?by (?P<second>.+)"),
     _order(rf"(?P<first>.+?){_AND} {_LATER},? (?P<second>.+)"),
+    _order(rf"(?P<first>.+?){_AND} (?P<second>[^,]+?),? (?:afterwards?|{_AFTER_THAT}|subsequently|thereafter)"),
     _order(r"(?P<second>.+?),? (?:but |though )?not (?:before|until) (?P<first>.+)", "first"),
     _order(rf"(?P<second>.+?),? (?:but |and )?{_AFTER} (?P<first>.+)", "first"),
     _order(rf"(?P<first>.+?),? {_BEFORE} (?P<second>.+)", "second"),
     _order(rf"(?P<first>.+?),? (?:un)?till? (?P<second>(?:{_PERSON} |\w+ing ).+)", "second"),
 )
-_STANDS_UP = r"\b(?:(?:stands?|stood|gets?|got|rises?|rose) (?:back )?up|(?:gets?|got) to \w+ feet|bow(?:s|ed)?)\b"
+_SEAT = r"(?:out of|off|from) (?:\w+ ){1,2}(?:armchair|bed|bench|chair|couch|seat|sofa|stool)"
+_STANDS_UP = (
+    rf"\b(?:(?:stands?|stood|gets?|got|rises?|rose) (?:back )?(?:up|{_SEAT})|(?:gets?|got) to \w+ feet|bow(?:s|ed)?)\b"
+)
 _LEAVES_STANDING = r"(?:(?:sits?|sat|lies?|lay|kneels?|knelt) (?:back )?down|bow(?:s|ed)?)\b"
 _RISING = re.compile(rf"(?P<first>.*?{_STANDS_UP}.*?),? and (?:{_PERSON} )?(?P<second>.+)", re.IGNORECASE)
 _SINKING = re.compile(rf"(?P<first>.+?),? and (?:{_PERSON} )?(?P<second>{_LEAVES_STANDING}.*)", re.IGNORECASE)
@@ -94,6 +98,7 @@ _ON_THE_WAY = re.compile(
 )
 """What says that an action is done while somebody goes, or that he goes on."""
 _LIST = re.compile(r"(?P<first>[^,]+),(?: and)? (?P<second>.+)")
+_BY_STEPS = re.compile(r"(\w+) (?:after|by) \1\b", re.IGNORECASE)
 _OPENING = re.compile(
     rf"(?:(?:and|but|first(?:ly)?|second(?:ly)?|first of all|{_THEN}|{_LATER}|having|is|comes),? )+", re.IGNORECASE
 )
@@ -239,6 +244,8 @@ def _is_doing(clause: str, is_known: Callable[[str], bool]) -> bool:
 
 
 def _goes_on(text: str, is_known: Callable[[str], bool]) -> bool:
-    """Returns whether a text begins with another action. "Dragging a foot" and "make it look old" say a manner."""
+    """Returns whether a text begins with another action. "Dragging a foot" and "step by step" say a manner."""
+    if _BY_STEPS.match(text):
+        return False
     word = re.split(r"\W", text)[0]
     return (is_known(word) or goes_somewhere(text, at_once=True)) and not word.endswith("ing")

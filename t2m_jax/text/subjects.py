@@ -26,8 +26,10 @@ _NO_SUBJECT = PREPOSITIONS | CLAUSE_STARTS
 NEAR = 4
 """Words before an animal among which a comparison is looked for."""
 PERSON = word_set(
-    """actor adult boxer boy brother character child dancer fighter figure friend girl guy human kid lady man mother
-    father opponent partner person player runner sister soldier stranger student teenager twin woman worker"""
+    """actor adult aunt baby boxer boy boyfriend brother character child dad dancer daughter fighter figure friend girl
+    girlfriend grandfather grandma grandmother grandpa guy human husband kid lady man mom mother mum father neighbor
+    neighbour opponent partner person player runner sister soldier son stranger student teacher teammate teenager twin
+    uncle wife woman worker"""
 )
 """In their basic forms."""
 DOING = word_set("do execute perform")
@@ -108,6 +110,10 @@ def _several(words: Sequence[Word]) -> str:
         # Not "a couple of steps".
         if word.text in CROWDS and texts[place + 1 : place + 2] != ["of"]:
             return word.text
+    for word, other, person in zip(words, texts[1:], words[2:], strict=False):
+        # "Carries another man", but not "walks up to another man".
+        if word.action and other == "another" and _is_person(person):
+            return f"another {person.text}"
     return next((text for text in texts if text in OTHERS), "")
 
 

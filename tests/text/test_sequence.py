@@ -43,6 +43,8 @@ def known():
         "he waves, but not before a man walks",
         "a man walks until he waves",
         "a man walks, and finally he waves",
+        "a man walks and he waves afterwards",
+        "a man walks, and he waves after that.",
     ],
 )
 def test_two_actions_come_in_the_order_in_which_they_happen(caption, known):
@@ -61,6 +63,14 @@ def test_three_actions_are_three_sentences(known):
     assert split_sequence(f"{corner}, then waves to the left", known) == (corner, "waves to the left")
     assert split_sequence(f"{corner}, then walks to the door", known) == (corner, "walks to the door")
     assert split_sequence("waves and, after that, bows", known) == ("waves", "bows")
+    seat = "gets out of the old armchair"
+    assert split_sequence(f"{seat} and walks on", known) == (seat, "walks on")
+    assert split_sequence("a nurse rises from her chair and waves", known) == ("a nurse rises from her chair", "waves")
+
+
+def test_one_step_after_the_other_is_one_action(known):
+    for caption in ("she walks on, step after step", "walks backward, time after time"):
+        assert split_sequence(caption, known) == (caption,)
 
 
 @pytest.mark.parametrize(

@@ -62,6 +62,8 @@ def test_people_with_animals_are_people(caption):
         ("the soldiers march", "soldiers"),
         ("me and my friend walk", "and my friend"),
         ("everybody claps", "everybody"),
+        ("a father and his daughter walk down the aisle", "and his daughter"),
+        ("a fireman carries another man on his back", "another man"),
         ("the team runs onto the pitch", "team"),
     ],
 )
@@ -103,6 +105,7 @@ def test_people_with_things_are_people(caption):
     "caption",
     [
         "they walk",
+        "a teacher walks up to another teacher",
         "a women sits down",
         "like children, he jumps",
         "a friend of the players waves",
