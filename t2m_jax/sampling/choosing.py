@@ -102,18 +102,17 @@ def choose_by_side(model: ModelParts, candidates: Sequence[Codes], wanted: SaidS
 
 
 def choose_at_once(model: ModelParts, candidates: Sequence[Codes], wanted: SaidAtOnce) -> Codes:
-    """Returns the codes of the first motion in which legs and arms both do what is asked for, or else one of them."""
-    scores = [_num_shown(wanted, positions, fps=model.skeleton.fps) for positions in _decoded(model, candidates)]
+    """Returns the codes of the first motion in which legs and arms do what is asked for, or else of the nearest."""
+    scores = [_shown(wanted, positions, fps=model.skeleton.fps) for positions in _decoded(model, candidates)]
     return candidates[int(np.argmax(scores))]
 
 
-def _num_shown(wanted: SaidAtOnce, positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> int:
-    """Returns whether both legs and arms (2), one of them (1) or neither (0) do what is asked for."""
+def _shown(wanted: SaidAtOnce, positions: Float[np.ndarray, "T 22 3"], *, fps: float) -> float:
+    """Returns how much of what is asked for is shown: 1 by legs and 1 by arms; nothing by one frame."""
     if len(positions) < 2:
-        return 0
-    facts = measure(positions, fps=fps)
-    legs_do = not wanted.legs or LEGS[wanted.legs](facts)
-    return legs_do + arms_do(wanted.arms, wanted.hands, positions, facts)
+        return 0.0
+    legs_do = not wanted.legs or LEGS[wanted.legs](measure(positions, fps=fps))
+    return legs_do + arms_do(wanted.arms, wanted.hands, positions)
 
 
 def mean_speed(positions: Float[np.ndarray, "T J 3"]) -> float:

@@ -18,8 +18,7 @@ def legs_of(positions):
 
 
 def arms_of(positions, actions=("raise", "wave")):
-    facts = measure(positions, fps=FPS)
-    return {(one, name) for one in actions for name, own in HANDS.items() if arms_do(one, own, positions, facts)}
+    return {(one, name) for one in actions for name, own in HANDS.items() if arms_do(one, own, positions) == 1}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -44,6 +43,26 @@ def test_raised_hands_are_those_that_are_asked_for(hands):
     assert arms_of(waved) == raised | {("wave", "any"), ("wave", hands)}
     other = {"left": "right", "right": "left", "both": "both"}[hands]
     assert ("wave", other) in arms_of(mirror_positions(waved, HUMANML3D))
+
+
+@pytest.mark.parametrize("hands", ["left", "both"])
+def test_a_hand_that_is_up_for_a_moment_counts_less(hands):
+    name = f"{hands}-hands" if hands == "both" else f"{hands}-hand"
+    positions = make_motion(f"wave-{name}", seed=1, num_frames=80)
+    later = np.concatenate([positions[:1].repeat(400, axis=0), positions])
+    for own in (HANDS[hands], ()):
+        assert arms_do("wave", own, positions) == 1 and arms_do("wave", own, later) == pytest.approx(2 / 3)
+        assert arms_do("wave", own, later[:400]) == 0
+
+
+def test_the_other_hand_may_swing_but_is_not_raised():
+    positions = make_motion("raise-up-left-hand", seed=1, num_frames=80)
+    top = positions[:, JOINT["left_wrist"], 1].max() - positions[0, JOINT["left_shoulder"], 1]
+    scores = []
+    for height in (-0.4, -0.05, top - 0.1):
+        positions[40, JOINT["right_wrist"], 1] = positions[40, JOINT["right_shoulder"], 1] + height
+        scores.append(arms_do("raise", ["left"], positions))
+    assert scores == pytest.approx([1, 2 / 3, 0])
 
 
 def swung(forward, height):
