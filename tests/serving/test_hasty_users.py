@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.export.conftest import walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
 from tests.serving.test_page import (  # noqa: F401 - fixtures
     PHONE,
@@ -12,6 +13,7 @@ from tests.serving.test_page import (  # noqa: F401 - fixtures
     generate,
     num_frames,
     open_studio,
+    open_two_sentences,
     serious_faults,
 )
 
@@ -108,3 +110,91 @@ def test_another_motion_can_be_shown_while_one_is_made(open_studio):  # noqa: F8
     expect(page.locator("#clock")).to_contain_text(f"/ {frames / 20:.2f} s")
     page.evaluate("window.next('event: done')")
     expect(page.locator("#take-title")).to_have_text(WALK)
+
+
+def type_number(page, name, number) -> None:
+    """Types a number into a field, and does not leave it."""
+    page.get_by_role("spinbutton", name=name).click()
+    page.keyboard.press("Control+A")
+    page.keyboard.type(number)
+
+
+SHORTCUTS = "snd"  # split, rename, duplicate
+
+
+def test_a_click_into_a_sentence_ends_what_is_typed_in_a_number(open_studio, walk, tmp_path):  # noqa: F811
+    page, asked = open_studio(), []
+    open_two_sentences(page, walk, tmp_path)
+    page.get_by_role("radio", name="Redo part").check(force=True)
+    sentence = page.get_by_role("textbox", name="Sentence")
+    for seconds in ("1.5", "1.2"):
+        type_number(page, "End", seconds)
+        sentence.click()
+        expect(page.locator("#end-handle")).to_have_attribute("aria-valuenow", f"{float(seconds):.2f}")
+        expect(sentence).to_be_focused()
+        page.keyboard.type(SHORTCUTS)
+        assert sentence.input_value().count(SHORTCUTS) == (1 if seconds == "1.5" else 2)
+    assert page.locator(".take").count() == 1 and page.locator("dialog[open]").count() == 0
+    page.route("**/motions?*", lambda route: asked.append(route.request.post_data_json))
+    type_number(page, "End", "1")
+    sentence.fill("a person bows")
+    page.get_by_role("button", name="Generate", exact=True).click()
+    expect(page.get_by_role("button", name="Cancel")).to_be_visible()
+    assert [one["captions"] for one in asked] == [["a person bows"]]
+    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Whole motion").click()
+    type_number(page, "End", "1.4")
+    page.get_by_role("button", name="Generate", exact=True).click()  # which must not move under the pointer
+    expect(page.get_by_role("button", name="Cancel")).to_be_visible()
+    assert [one["span"] for one in asked] == [[0, 1], [0, 1.4]]
+
+
+def test_a_click_on_a_target_ends_what_is_typed_in_a_number(open_studio, walk, tmp_path):  # noqa: F811
+    page = open_studio()
+    open_two_sentences(page, walk, tmp_path)
+    page.locator("#targets summary").click()
+    field, rows = page.get_by_role("textbox", name="As a text"), page.locator(".target")
+    field.fill("1 head=0,1,0; 1.5 left_wrist=0,1,0; 2 root=0,1")
+    rows.first.locator(".target-open").click()
+    type_number(page, "x, m", "0.25")
+    rows.nth(1).locator(".target-open").click()
+    expect(field).to_have_value("1 head=0.25,1,0; 1.5 left_wrist=0,1,0; 2 root=0,1")
+    expect(rows.nth(1).locator("[aria-current]")).to_be_visible()
+    type_number(page, "Time, s", "-3")
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("spinbutton", name="Time, s")).to_have_value("0")
+    type_number(page, "y, m", "1.25")
+    page.get_by_role("button", name="Delete the target 3").click()
+    expect(field).to_have_value("1 head=0.25,1,0; 0 left_wrist=0,1.25,0")
+    expect(rows).to_have_count(2)
+
+
+@pytest.mark.parametrize("name", ["Sentence", "x, m"])
+def test_a_motion_that_is_ready_does_not_disturb_who_types(open_studio, walk, tmp_path, name):  # noqa: F811
+    page = open_studio()
+    open_two_sentences(page, walk, tmp_path)
+    page.evaluate(SLOW_STREAM)
+    page.get_by_role("button", name="Remove Sentence 2").click()
+    page.get_by_role("textbox", name="Seed").fill("4")  # a long walk, which comes in several pieces
+    page.get_by_role("textbox", name="Sentence").fill(WALK)
+    page.keyboard.press("Enter")
+    wait_until(page, "window.next !== undefined")
+    if name == "Sentence":
+        page.keyboard.press("Control+A")
+        page.keyboard.type("a person")
+    else:
+        page.locator("#targets summary").click()
+        page.get_by_role("textbox", name="As a text").fill("1 head=0,1,0")
+        page.locator(".target-open").click()
+        type_number(page, name, "0.2")
+    page.evaluate("window.block = document.querySelector('.block')")
+    page.evaluate(NEXT_FRAMES)
+    expect(page.locator(".stage-caption")).to_have_text(WALK)
+    is_kept = page.evaluate("block.isConnected")
+    page.evaluate("window.next('event: done')")
+    expect(page.locator("#take-title")).to_have_text(WALK)
+    page.keyboard.type("5" if name == "x, m" else f" {SHORTCUTS}")
+    field = page.get_by_role("spinbutton" if name == "x, m" else "textbox", name=name, exact=True)
+    expect(field).to_have_value("0.25" if name == "x, m" else f"a person {SHORTCUTS}")
+    assert is_kept
+    assert page.locator(".take").count() == 2 and page.locator("dialog[open]").count() == 0

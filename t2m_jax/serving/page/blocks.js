@@ -9,6 +9,8 @@ const KEYS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown
 const lengthOf = ({ span }) => span[1] - span[0];
 
 export class Blocks {
+  #motion = null;
+  #take = null;
   #parts = [];
   #lengths = []; // as they are shown; while an end is dragged, one is not that of the motion
 
@@ -23,14 +25,21 @@ export class Blocks {
 
   draw() {
     const { motion, take } = this.timeline.session;
+    // While frames of another motion come, the timeline is drawn often: meanwhile, blocks stay under the pointer.
+    if (motion !== this.#motion || take !== this.#take) this.#makeParts(motion, take);
+    this.#lengths = this.#parts.map(lengthOf);
+    this.#show();
+  }
+
+  #makeParts(motion, take) {
+    this.#motion = motion;
+    this.#take = take;
     const focused = this.#handles.indexOf(document.activeElement);
     this.#parts = motion ? partsOf(motion) : [];
-    this.#lengths = this.#parts.map(lengthOf);
     this.list.replaceChildren(...this.#parts.map((part, place) => {
       const hasEnd = part.caption && take.kind !== "comparison";
       return create("div", { className: "part" }, this.#makeBlock(part), ...(hasEnd ? [this.#makeHandle(place)] : []));
     }));
-    this.#show();
     this.#handles[focused]?.focus(); // its motion has become another one
   }
 

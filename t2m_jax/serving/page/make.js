@@ -19,6 +19,8 @@ const START_STRENGTH = 0.3;
 const INSERTED_SECONDS = 2;
 const EMPTY = { seed: "", num_samples: 1, temperature: "", seconds: "", guidance_scale: "", top_k: "", top_p: "", stop_rule: "", raw: false, whole: false, targets: "", candidates: "" };
 
+const written = (texts) => texts.map((text) => text.trim()).filter(Boolean);
+
 export class MakePanel {
   #mode = "new";
   #drafts = {}; // what the user has written for each mode; without a draft, there is a suggestion
@@ -71,17 +73,17 @@ export class MakePanel {
 
   // Shows what was written before in a mode; without texts, the suggestion.
   setDraft(mode, texts) {
-    const { place } = this.sentences;
     if (texts) this.#drafts[mode] = texts;
     else delete this.#drafts[mode];
     remember("drafts", this.#drafts);
     this.setMode(this.session.motion ? mode : "new");
-    if (place >= 0) this.sentences.place = place;
   }
 
-  // What was written has become a motion. Returns it, so that it can come back.
-  forgetDraft(mode) {
+  // What was written has become a motion of the sentences `sent`. Returns it, so that it can come back. If something else
+  // was written meanwhile, that stays.
+  forgetDraft(mode, sent = null) {
     const texts = this.#drafts[mode];
+    if (sent !== null && `${texts && written(texts)}` !== `${sent}`) return undefined;
     delete this.#drafts[mode];
     remember("drafts", this.#drafts);
     return texts;
@@ -222,7 +224,7 @@ export class MakePanel {
   #read() {
     const { span } = this.session;
     const mode = this.#mode;
-    const captions = this.sentences.values.map((text) => text.trim()).filter(Boolean);
+    const captions = written(this.sentences.values);
     if (captions.length === 0) return this.#refuse("Write a sentence first.", this.sentences);
     const seed = find("seed").value.trim();
     if (seed && !(/^\d+$/.test(seed) && Number(seed) <= this.largestSeed)) {

@@ -20,10 +20,18 @@ export class SentenceList {
     return this.#areas.map((area) => area.value);
   }
 
+  // The fields stay, because the page shows other sentences while one gets the focus, or has it.
   set values(texts) {
-    this.list.replaceChildren();
-    for (const text of texts.slice(0, this.limit)) this.#append(text);
+    const { place } = this;
+    const shown = texts.slice(0, this.limit);
+    for (const area of this.#areas.slice(shown.length)) area.parentElement.remove();
+    const areas = this.#areas;
+    shown.forEach((text, number) => {
+      const area = areas[number] ?? this.#append("");
+      if (area.value !== text) area.value = text; // or the cursor would move to the end
+    });
     this.#update();
+    if (place >= shown.length) this.focus();
   }
 
   // Some requests take as many sentences as there are.
@@ -43,10 +51,6 @@ export class SentenceList {
   // The place of the sentence that is being written, or -1.
   get place() {
     return this.#areas.indexOf(document.activeElement);
-  }
-
-  set place(place) {
-    this.#areas[Math.min(place, this.#areas.length - 1)]?.focus();
   }
 
   selectText() {

@@ -49,7 +49,7 @@ async function start() {
   const handles = new Handles(targets, targetPanel, { stage, player, session });
   new TargetKeys(targets, targetPanel, timeline);
   const addTake = (take, draft) => add(take, draft, { session, history, make, undo });
-  const generation = new Generation({ session, stage, onDone: (take) => addTake(take, make.forgetDraft(take.kind)) });
+  const generation = new Generation({ session, stage, onDone: (take) => addTake(take, make.forgetDraft(take.kind, take.request.captions)) });
   const actions = {
     rename: () => withEntry((entry) => history.rename(entry)),
     duplicate: () => withEntry(async (entry) => session.show(await history.duplicate(entry))),
@@ -114,7 +114,7 @@ function add(take, draft, { session, history, make, undo }) {
     },
     redo: async () => {
       await history.change([take.id], { deleted: null });
-      if (draft) make.forgetDraft(take.kind);
+      if (draft) make.forgetDraft(take.kind, take.request.captions);
       session.show(take);
     },
   });

@@ -55,9 +55,11 @@ export class TargetPanel {
   #edit(input) {
     const item = this.targets.items[this.targets.selected];
     const value = input.valueAsNumber;
-    if (!item || !Number.isFinite(value)) return this.#draw();
-    const place = placesOf(item).map((name, index) => (name === input.dataset.place ? value : item.place[index]));
-    this.#set(input.dataset.place ? { place } : { seconds: Math.max(value, 0) });
+    if (item && Number.isFinite(value)) {
+      const place = placesOf(item).map((name, index) => (name === input.dataset.place ? value : item.place[index]));
+      this.#set(input.dataset.place ? { place } : { seconds: Math.max(value, 0) });
+    }
+    this.#showNumbers(this.targets.items[this.targets.selected], null);
   }
 
   #set(fields) {
@@ -74,35 +76,50 @@ export class TargetPanel {
 
   #draw() {
     const { targets, list } = this;
-    const focused = [...list.children].findIndex((row) => row.contains(document.activeElement));
-    list.replaceChildren(...targets.items.map((item, number) => this.#makeRow(item, number)));
-    if (focused >= 0) (list.children[Math.min(focused, list.children.length - 1)]?.firstElementChild ?? find("add-target")).focus();
+    const { children } = list;
+    const focused = [...children].findIndex((row) => row.contains(document.activeElement));
+    const isOneLess = children.length > targets.items.length;
+    // Rows stay: a click on one ends what is typed in a number, which changes them.
+    while (children.length > targets.items.length) list.lastElementChild.remove();
+    while (children.length < targets.items.length) list.append(this.#makeRow(children.length));
+    targets.items.forEach((item, number) => this.#showRow(children[number], item, number));
+    if (focused >= 0 && isOneLess) (children[Math.min(focused, children.length - 1)]?.firstElementChild ?? find("add-target")).focus();
     find("target-count").textContent = targets.items.length ? `(${targets.items.length})` : "";
     for (const id of ["add-target", "add-pose"]) find(id).disabled = !this.session.motion || !this.#isDrawn;
     this.#showNumbers(targets.items[targets.selected]);
     this.stage.changed();
   }
 
-  #makeRow(item, number) {
-    const when = item.text ? "cannot be read" : `${item.seconds.toFixed(2)} s${item.until ? ` to ${item.until} s` : ""}`;
+  #makeRow(number) {
     const open = create(
       "button",
       { type: "button", className: "target-open", onclick: () => this.choose(number) },
-      create("span", { className: "take-caption", textContent: nameOf(item) }),
-      create("span", { className: "target-state", textContent: [when, this.targets.verdictOf(item)].filter(Boolean).join(" · ") }),
+      create("span", { className: "take-caption" }),
+      create("span", { className: "target-state" }),
     );
-    if (number === this.targets.selected) open.ariaCurrent = "true";
-    const remove = iconButton("remove", `Delete the target ${number + 1}: ${nameOf(item)}`, once(() => this.targets.remove(number)));
-    const isMissed = item.text !== undefined || this.targets.resultOf(item)?.met === false;
+    const remove = iconButton("remove", "", once(() => this.targets.remove(number)));
     const onkeydown = (event) => {
       if (event.key !== "Delete") return;
       event.preventDefault(); // or the motion is deleted
       this.targets.remove(number);
     };
-    return create("li", { className: isMissed ? "target missed" : "target", onkeydown }, open, remove);
+    return create("li", { onkeydown }, open, remove);
   }
 
-  #showNumbers(item) {
+  #showRow(row, item, number) {
+    const [open, remove] = row.children;
+    const [name, state] = open.children;
+    const when = item.text ? "cannot be read" : `${item.seconds.toFixed(2)} s${item.until ? ` to ${item.until} s` : ""}`;
+    name.textContent = nameOf(item);
+    state.textContent = [when, this.targets.verdictOf(item)].filter(Boolean).join(" · ");
+    open.ariaCurrent = number === this.targets.selected ? "true" : null;
+    remove.title = remove.ariaLabel = `Delete the target ${number + 1}: ${nameOf(item)}`;
+    const isMissed = item.text !== undefined || this.targets.resultOf(item)?.met === false;
+    row.className = isMissed ? "target missed" : "target";
+  }
+
+  // Shows the numbers of a target, but for one that is being typed.
+  #showNumbers(item, typed = document.activeElement) {
     const isRead = item !== undefined && item.text === undefined;
     find("target-numbers").hidden = !isRead;
     if (!isRead) return;
@@ -112,7 +129,7 @@ export class TargetPanel {
       const name = input.dataset.place;
       const index = placesOf(item).indexOf(name);
       input.closest("label").hidden = name !== undefined && index < 0;
-      input.value = name === undefined ? item.seconds : (item.place[index] ?? "");
+      if (input !== typed) input.value = name === undefined ? item.seconds : (item.place[index] ?? "");
     }
   }
 }
