@@ -113,3 +113,32 @@ def test_a_file_that_is_no_character_is_refused_in_one_line(open_studio, hero, t
         page.locator("#character-input").set_input_files(path)
         expect(page.get_by_role("alert")).to_contain_text(message)
         expect(page.locator("#save-character")).to_be_hidden()
+
+
+def test_the_character_stays_if_another_one_is_refused(open_studio, hero, tmp_path):  # noqa: F811
+    page = open_studio(may_fail=["400"])
+    name, alert = page.locator("#character-name"), page.get_by_role("alert")
+    (tmp_path / "junk.glb").write_text("solid cube")
+    choose = page.locator("#character-input").set_input_files
+    # Without a motion, no character is sent.
+    choose(hero)
+    expect(name).to_have_text("hero.vrm")
+    choose(tmp_path / "junk.glb")
+    expect(name).to_have_text("junk.glb")
+    Motion(walking_positions(12), 20.0).save(tmp_path / "walk.npz")
+    page.locator("#file-input").set_input_files(tmp_path / "walk.npz")
+    for _ in range(2):
+        expect(alert).to_contain_text("junk.glb: is not a GLB file")
+        expect(name).to_have_text("hero.vrm")
+        expect(page.locator("#save-character")).to_be_enabled()
+        assert red(page).sum() > 500
+        choose(tmp_path / "junk.glb")
+    expect(alert).to_contain_text("junk.glb: is not a GLB file")
+    expect(name).to_have_text("hero.vrm")
+    page.reload()
+    expect(page.locator("#save-character")).to_be_enabled()
+    expect(name).to_have_text("hero.vrm")
+    page.get_by_role("button", name="Remove").click()
+    choose(tmp_path / "junk.glb")
+    expect(alert).to_contain_text("junk.glb: is not a GLB file")
+    expect(page.locator("#save-character")).to_be_hidden()

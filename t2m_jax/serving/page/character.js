@@ -6,6 +6,7 @@ import { LostConnection, moveCharacter, ServerError } from "./server.js";
 
 export class CharacterPanel {
   #character = null;
+  #earlier = []; // those that come back if the server refuses the one that was chosen after them
   #shown = 0; // counts what was asked for, so that a late answer is not shown
 
   constructor(session, model, stage, changes) {
@@ -17,6 +18,7 @@ export class CharacterPanel {
       input.value = ""; // so that the same file can be chosen again
     });
     find("remove-character").addEventListener("click", () => {
+      this.#earlier = [];
       this.#keep(null);
       this.#use(null);
     });
@@ -36,6 +38,7 @@ export class CharacterPanel {
     clearMessage();
     try {
       const character = await readCharacter(files, this.model.character_bytes);
+      if (this.#character) this.#earlier.push(this.#character);
       this.#keep(character);
       await this.#use(character);
     } catch (error) {
@@ -49,7 +52,7 @@ export class CharacterPanel {
     });
   }
 
-  // Shows a character from now on, or the figure again. One that the server refuses is forgotten.
+  // Shows a character from now on, or the figure again. In place of one that the server refuses, the one before comes back.
   async #use(character) {
     this.#character = character;
     this.session.take?.motions.forEach((_, k) => this.stage.dress(k));
@@ -65,6 +68,7 @@ export class CharacterPanel {
     if (character === null || take === null) return;
     try {
       const bytes = await (await this.#ask(take.motions)).arrayBuffer();
+      if (isCurrent()) this.#earlier = [];
       for (const k of take.motions.keys()) {
         const body = await T2M.loadCharacter(bytes, take.motions.length - k).catch((error) => {
           throw new ServerError(`${character.name}: cannot be drawn here (${error.message}), but downloaded`);
@@ -83,8 +87,9 @@ export class CharacterPanel {
   #fail(error, character) {
     showMessage(error instanceof ServerError ? error.message : `${character.name}: ${error.message}`);
     if (/cannot be drawn here/.test(error.message)) return;
-    this.#character = null;
-    if (!(error instanceof LostConnection)) this.#keep(null);
+    const former = this.#earlier.pop() ?? null;
+    if (!(error instanceof LostConnection)) this.#keep(former);
+    this.#use(former);
   }
 
   #ask(motions, changes = {}) {
