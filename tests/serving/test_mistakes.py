@@ -110,10 +110,32 @@ def test_a_link_carries_seed_options_and_sample(open_studio, walk, tmp_path):  #
     expect(other.locator(".take")).to_have_count(2)
     other.get_by_role("button", name="Share").click()
     expect(other.locator("#notice")).to_contain_text("made from sentences alone")
-    for wrong in ("%", "3", '{"steps": []}', '{"steps": [{"pick": 1}]}'):
+    cut = link.partition("#make=")[2][:-9]
+    for wrong in ("%", "3", "null", cut, '{"steps": []}', '{"steps": [null]}', '{"steps": [{"pick": 1}]}'):
+        other.locator("#message").evaluate("(box) => box.replaceChildren()")
         other.evaluate("(text) => { location.hash = `make=${text}`; }", wrong)
-        expect(other.get_by_role("alert")).to_contain_text("The link cannot be opened")
+        said = "The link cannot be opened: it is incomplete or damaged."
+        expect(other.get_by_role("alert")).to_have_text(said)
         expect(other).to_have_url(page.url)
+
+
+def test_a_link_to_a_motion_of_the_history_shows_it(open_studio):  # noqa: F811
+    page = open_studio()
+    generate(page, WALK, samples=2)
+    page.locator(".stage-caption").nth(1).click()
+    page.get_by_role("button", name="Share").click()
+    link = page.get_by_role("textbox", name="Link").input_value()
+    other = open_studio(path=link.removeprefix(page.url))
+    expect(other.locator("#take-facts")).to_contain_text("2 of 2", timeout=60_000)
+    other.get_by_role("button", name="Share").click()  # what came with a link has one, too
+    expect(other.get_by_role("textbox", name="Link")).to_have_value(link)
+    other.keyboard.press("Escape")
+    generate(other, WAVE, takes=2)
+    other.evaluate("(hash) => { location.hash = hash; }", link.partition("#")[2])
+    expect(other.locator("#take-title")).to_have_text(WALK)
+    expect(other.locator("#take-facts")).to_contain_text("2 of 2")
+    expect(other).to_have_url(page.url)
+    assert other.locator(".take").count() == 2
 
 
 @pytest.mark.parametrize("dialog", ["help", "rename-dialog"])

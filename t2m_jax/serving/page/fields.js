@@ -61,7 +61,7 @@ export function makeFields(form, schemas, rest) {
   }
 }
 
-export const findField = (name) => document.querySelector(`[data-field~=${name}]`);
+export const findField = (name) => document.querySelector(`[data-field~="${name}"]`);
 
 export function showField(name, visible) {
   findField(name).closest("label").hidden = !visible;
@@ -86,6 +86,15 @@ const isTooSmall = ({ valueAsNumber, dataset }) => valueAsNumber <= dataset.abov
 
 // Returns the first control whose value the server would refuse, or undefined.
 export const wrongField = (part) => madeControls(part).find((control) => !control.validity.valid || isTooSmall(control));
+
+// Returns a message of the server, which names a field as programs do, with the field's name on the screen.
+export function labeled(message) {
+  const [, name, reason] = /^(?:request: |parameters: )?(\w+): (.*)$/s.exec(message) ?? [];
+  const label = name && findField(name)?.closest("label");
+  if (!label) return message;
+  const shown = name === "targets" ? "Targets" : (label.querySelector("span") ?? label).firstChild.textContent.trim();
+  return `${shown}: ${reason}`;
+}
 
 export function complaint(control) {
   const name = control.getAttribute("aria-label") ?? control.closest("label").textContent;

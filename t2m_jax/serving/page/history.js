@@ -87,6 +87,16 @@ export class History {
     return take;
   }
 
+  // Returns the newest motion that was made in the same steps, or null.
+  async findMade(steps) {
+    const { seed } = steps.findLast(({ make }) => make).make;
+    for (const entry of this.#listed.reverse().filter((one) => one.seed === seed)) {
+      const take = await this.take(entry.id).catch(() => null);
+      if (JSON.stringify(take && stepsOf(take)) === JSON.stringify(steps)) return take;
+    }
+    return null;
+  }
+
   // Changes entries, which tells other tabs; `deleted` is a time, or null.
   async change(ids, fields) {
     const changed = this.#entries.filter(({ id }) => ids.includes(id));

@@ -31,17 +31,19 @@ export function listenForCopies() {
   });
 }
 
-// Makes the motion of the link in the address, if there is one.
-export async function openLink({ generation, make, onDone, session }) {
+// Shows the motion of the link in the address, if there is one. It is made, unless the history has it.
+export async function openLink({ generation, make, onDone, session, history }) {
   let recipe = null;
   try {
     recipe = recipeFromAddress();
     if (recipe === null) return;
     if (generation.isRunning) throw new Error("another motion is being made");
     make.fill(recipe.steps);
-    const take = await repeat(recipe.steps, (...step) => generation.make(...step));
-    if (take !== null) await onDone(take);
-    session.select(recipe.selected);
+    const there = await history.findMade(recipe.steps);
+    const take = there ?? (await repeat(recipe.steps, (...step) => generation.make(...step)));
+    if (there !== null) session.show(there);
+    else if (take !== null) await onDone({ ...take, steps: recipe.steps });
+    if (take !== null) session.select(recipe.selected);
   } catch (error) {
     showMessage(`The link cannot be opened: ${error.message}.`);
   }

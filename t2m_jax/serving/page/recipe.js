@@ -8,6 +8,7 @@ import { makeTake } from "./session.js";
 
 const MOST_STEPS = 50;
 const PREFIX = "#make=";
+const DAMAGED = new Error("it is incomplete or damaged");
 
 // Returns the steps of a motion that is made from a sample of a take, or null if the take has none: it is from a file.
 export function stepsAfter(take, from, step) {
@@ -50,12 +51,14 @@ export function linkOf(take, selected) {
 // Returns the steps in the address of this page, or null.
 export function recipeFromAddress() {
   if (!location.hash.startsWith(PREFIX)) return null;
-  const { steps, selected = 0 } = JSON.parse(decodeURIComponent(location.hash.slice(PREFIX.length)));
   const isStep = (step) => [step.make, step.change, step.pick].filter((part) => part !== undefined).length === 1;
-  if (!Array.isArray(steps) || steps.length === 0 || steps.length > MOST_STEPS || !steps.every(isStep) || !steps[0].make) {
-    throw new Error("it has no steps that can be repeated");
+  try {
+    const { steps, selected = 0 } = JSON.parse(decodeURIComponent(location.hash.slice(PREFIX.length)));
+    if (steps.length <= MOST_STEPS && steps.every(isStep) && steps[0].make) return { steps, selected };
+  } catch {
+    // Programs that pass links on may cut them, or change their signs.
   }
-  return { steps, selected };
+  throw DAMAGED;
 }
 
 function kindOf({ span, seconds, strength }) {
@@ -68,6 +71,7 @@ export async function repeat(steps, make) {
   let take = null;
   for (const { make: asked, change, pick, from } of steps) {
     const base = take && { take, from: from ?? 0 };
+    if (take && !take.motions[pick ?? base.from]) throw DAMAGED;
     if (pick !== undefined) take = pickSample(take, pick);
     else if (change) take = await changeSample(base.take, base.from, change);
     else take = await make(asked, base ? kindOf(asked) : "new", base);

@@ -1,11 +1,16 @@
 // Requests to the server. A busy server (429) is asked again after the time that it names.
 
 import { ask, find } from "./dom.js";
+import { labeled } from "./fields.js";
 
 const TOKEN_KEY = "t2m-token";
 const DEFAULT_WAIT = 5;
 
-export class ServerError extends Error {}
+export class ServerError extends Error {
+  constructor(message) {
+    super(labeled(message));
+  }
+}
 export class LostConnection extends ServerError {}
 
 // A link can bring the token (`?token=...`). It then leaves the address, so that it is not copied with it.

@@ -88,7 +88,7 @@ async function start() {
   character.resume(history.store).catch(complain);
   keepParts();
   make.resume();
-  const followLink = () => openLink({ generation, make, session, onDone: addTake });
+  const followLink = () => openLink({ generation, make, session, history, onDone: addTake });
   addEventListener("hashchange", followLink);
   await followLink();
   await generation.resume();
