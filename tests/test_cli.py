@@ -250,6 +250,7 @@ def test_help_names_every_command_and_the_version_is_that_of_the_distribution(ca
     assert main(["--help"]) == 0
     assert capsys.readouterr().out == without
     assert all(f"\n  {name} " in without for name in COMMANDS)
+    assert "ONNX graphs or as a web page" in without
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"t2m_jax {importlib.metadata.version('t2m-jax')}\n"
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from t2m_jax.cli.options import (
+    NO_OPTIONS,
     add_model_argument,
     add_record,
     add_rig_arguments,
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("text", nargs="+", help="sentences in quotes; each gives one motion (or --num-samples)")
     parser.add_argument("--then", action="append", metavar="TEXT", help="a sentence that follows; can be repeated")
     add_model_argument(parser)
-    add_record(parser, MotionRequest, left_out=("captions", "strategy", "targets"))
+    add_record(parser, MotionRequest, left_out=(*NO_OPTIONS, "targets"))
     places = (
         "right_wrist=X,Y,Z (any joint), root=X,Z or facing=DEGREES; += is seen from the root; 'PLACE exact' to 5 mm"
     )
@@ -86,7 +87,8 @@ def run(args: argparse.Namespace) -> None:
 
     # The first files are claimed from the start, so that two commands do not mix their motions. The others are claimed
     # one by one, because there may be more of them than a process can have open files.
-    with claim([check_motion_output(_file_of(output, 0, count)) for output in outputs]), warnings.catch_warnings():
+    first = [check_motion_output(_file_of(output, 0, count)) for output in outputs]
+    with claim(first, tells=False), warnings.catch_warnings():
         warnings.simplefilter("always", PromptWarning)
         warnings.showwarning = show_warning  # type: ignore[assignment]  # it needs the message only
         if requests[0].targets and (moved := _changed(changes)):
@@ -204,7 +206,9 @@ def _write(
             if (number + 1) % size and number + 1 < count:  # the file gets further motions
                 continue
             path = _file_of(output, number, count)
-            with claim([path]) if number >= size else contextlib.nullcontext():  # `run` has claimed the first
+            with (
+                claim([path], tells=False) if number >= size else contextlib.nullcontext()
+            ):  # `run` has claimed the first
                 save(path, list(recent)[-(number % size + 1) :], options[output], character)
             sys.stdout.write(f"{path}\n")
             yield path

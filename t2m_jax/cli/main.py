@@ -45,7 +45,7 @@ COMMANDS = {
     "bundle": "combine runs to one model that can be shared, and push it to the hub",
     "models": "list packaged and downloaded models, and show their cards",
     "convert": "convert published weights to a model, and back",
-    "export": "write a model as ONNX graphs, for programs without Python",
+    "export": "write a model as ONNX graphs or as a web page, which need no Python",
     "view": "convert a motion file to other formats",
     "serve": "open the studio: a page and an HTTP interface",
     "check": "say what is intact in a model, a data set or a report",

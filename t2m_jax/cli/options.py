@@ -37,8 +37,8 @@ def _path(text: str) -> tuple[tuple[float, float], ...]:
 
     try:
         return path_from_text(text)
-    except UserError as error:  # argparse would hide what is wrong
-        raise argparse.ArgumentTypeError(str(error)) from None
+    except UserError as error:  # argparse would hide what is wrong, and it names the option itself
+        raise argparse.ArgumentTypeError(str(error).removeprefix("path: ")) from None
 
 
 SHORT: Mapping[str, str] = {
@@ -56,6 +56,8 @@ TYPES: Mapping[str, Mapping[str, Any]] = {
     "path": {"type": _path, "metavar": '"X,Z X,Z ..."'},
 }
 """How fields are read that are neither a number, a choice nor yes or no."""
+NO_OPTIONS = ("captions", "strategy")
+"""Fields of `MotionRequest` that are made from other options."""
 TRIM = ("begin", "end")
 """Fields that are one option, `--trim BEGIN:END`."""
 
@@ -108,16 +110,20 @@ def read_record(record: type[T], args: argparse.Namespace, **more: Any) -> T:
 
 @contextlib.contextmanager
 def naming_options() -> Iterator[None]:
-    """Lets errors of a block, or of a function, name options that are called otherwise than their fields."""
+    """Lets errors of a block, or of a function, name options in place of fields of `Changes` and `MotionRequest`."""
+    from t2m_jax.motion.changes import Changes
+    from t2m_jax.sampling.request import MotionRequest
+
     try:
         yield
     except UserError as error:
         name, _, reason = str(error).partition(": ")
-        if name not in SHORT:
+        fields = {field.name for record in (Changes, MotionRequest) for field in fields_of(record)} - {*NO_OPTIONS}
+        if name.replace("-", "_") not in fields:
             raise
         reason = reason.replace("give it as start", f"give it with {SHORT['start']}")
         reason = re.sub(r"excludes (\w+)", lambda other: f"excludes {option_of(other[1])}", reason)
-        raise UserError(f"{SHORT[name]}: {reason}") from None
+        raise UserError(f"{option_of(name.replace('-', '_'))}: {reason}") from None
 
 
 MODEL_HELP = "bundled name, bundle or run folder, or name on the Hugging Face hub: user/name or user/name@revision"

@@ -141,8 +141,10 @@ def save(
     output: Path, motions: "Sequence[Motion]", options: Mapping[str, str | bool], character: "Character | None"
 ) -> None:
     """Writes motions into a file: on the character if it is a `.glb` file and there is one."""
+    from t2m_jax.files.writing import tell_replaced
     from t2m_jax.motion.formats import save_motions
 
+    tell_replaced(output)
     if character is not None and output.suffix.lower() == ".glb":
         character.save(output, motions)
     else:
@@ -166,7 +168,7 @@ def run(args: argparse.Namespace) -> None:
     chosen = read_options(args)
     if changes.clean:
         use_compilation_cache()  # the clean-up takes longer to compile than to run
-    with claim(args.outputs):
+    with claim(args.outputs, tells=False):
         motions = [load_motion(path, **chosen[path]) for path in args.files]
         if args.join:
             motions = [joined(args.files, motions)]

@@ -78,10 +78,14 @@ def writing(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def claim(outputs: Iterable[Path]) -> Iterator[None]:
+def claim(outputs: Iterable[Path], *, tells: bool = True) -> Iterator[None]:
     """Holds the locks of files that a command is going to write, and says which of them will be replaced.
 
     Deletes what killed processes left of their attempts.
+
+    Args:
+        outputs: The files.
+        tells: False leaves it to the caller to say that (`tell_replaced`), if requests may yet be refused.
 
     Raises:
         UserError: Another process is writing one of them, or its folder cannot be written.
@@ -91,9 +95,15 @@ def claim(outputs: Iterable[Path]) -> Iterator[None]:
             with writing(path):
                 held.enter_context(lock(path))
             _delete_abandoned(path)
-            if path.exists():
-                logger.info("%s: exists and will be replaced", path)
+            if tells:
+                tell_replaced(path)
         yield
+
+
+def tell_replaced(path: Path) -> None:
+    """Says that a file will be replaced, if it exists."""
+    if path.exists():
+        logger.info("%s: exists and will be replaced", path)
 
 
 def check_new(path: Path) -> None:

@@ -60,8 +60,10 @@ class Changes:
         begin = 0.0 if self.begin is None else check_number("begin", self.begin)
         if not 0 <= begin < math.inf:
             raise UserError(f"begin: {begin:g} is not a number of seconds from 0")
-        if self.end is not None and not begin < check_number("end", self.end) < math.inf:
-            raise UserError(f"end: {self.end:g} is not a number of seconds after begin, {begin:g}")
+        if self.end is not None and not 0 <= check_number("end", self.end) < math.inf:
+            raise UserError(f"end: {self.end:g} is not a number of seconds from 0")
+        if self.end is not None and self.end <= begin:
+            raise UserError(f"end: {self.end:g} s is not after {begin:g} s, where the motion begins")
         check_speed(self.speed)
         check_turn(self.turn)
         if self.path:

@@ -78,7 +78,9 @@ def check_waypoints(waypoints: Sequence[Sequence[float | int]]) -> Float[np.ndar
         if len(point) != 2:
             raise UserError(f"path: point {place} needs two numbers, x and z in meters, not {len(point)}")
     if len(given) < 2:
-        raise UserError(f"path: {len(given)} points; give two or more of two numbers, x and z in meters")
+        raise UserError(
+            f"path: {len(given)} point{'s' * (len(given) != 1)}; give two or more of two numbers, x and z in meters"
+        )
     points = np.array([[check_number("path", number) for number in point] for point in given], np.float64)
     # `not <=` and not `>`, so that NaN is refused, too.
     if not (np.abs(points) <= FARTHEST).all():

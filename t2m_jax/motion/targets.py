@@ -80,11 +80,17 @@ class Target:
             UserError: A number cannot be used with any motion.
         """
         end = self.seconds if self.until is None else self.until
-        if not 0 <= self.seconds <= end < math.inf:
-            raise self.error(f"{self.seconds:g} to {end:g} s is not a time from 0")
+        # NaN fails each comparison, so it is refused, too.
+        if not (0 <= self.seconds < math.inf and 0 <= end < math.inf):
+            raise self.error("is not a time from 0")
+        if end < self.seconds:
+            raise self.error("ends before it begins")
         size = SIZES.get(self.joint, 3)
-        if len(self.place) != size or not all(map(math.isfinite, self.place)):
-            raise self.error(f"needs {size} number{'s' * (size != 1)}, not {self.place}")
+        if len(self.place) != size:
+            raise self.error(f"needs {size} number{'s' * (size != 1)}, not {len(self.place)}")
+        for number in self.place:
+            if not math.isfinite(number):
+                raise self.error(f"{number:g} is not a finite number")
         if (self.joint == POSE) != (self.pose is not None):
             raise self.error("a pose needs joints, and nothing else has them")
         if self.pose is not None and not np.isfinite(self.pose).all():
@@ -99,7 +105,8 @@ class Target:
     @property
     def name(self) -> str:
         """What and when, for messages."""
-        return f"{self.joint} at {self.seconds:g} s"
+        until = "" if self.until is None else f" to {self.until:g}"
+        return f"{self.joint} at {self.seconds:g}{until} s"
 
     @property
     def tolerance(self) -> float:

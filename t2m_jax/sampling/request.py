@@ -272,8 +272,10 @@ class MotionRequest:
         if not (is_number(begin) and is_number(end)):
             raise UserError(f"span: {begin!r} to {end!r} are not two numbers of seconds")
         # NaN fails each comparison, so it is refused, too. Where the motion ends is checked with its codes.
-        if not 0 <= begin <= end < math.inf:
+        if not (0 <= begin < math.inf and 0 <= end < math.inf):
             raise UserError(f"span: {begin:g} to {end:g} is not a part of the motion")
+        if end < begin:
+            raise UserError(f"span: {begin:g} to {end:g} s ends before it begins")
         if begin == end and self.seconds is None:
             raise UserError(f"span: {begin:g} to {end:g} is no time; give seconds, the length of what comes there")
 

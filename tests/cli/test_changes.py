@@ -100,7 +100,7 @@ def test_speed_and_path_change_before_the_rate(walk, tmp_path):
         *((f"--speed={value}", "speed: ") for value in ("0", "-1", "nan", "inf", "1e9")),
         *((f"--turn={value}", "turn: ") for value in ("nan", "inf", "1e9")),
         ("--path=", "path: 0 points"),
-        ("--path=0,0", "path: 1 points"),
+        ("--path=0,0", "argument --path: 1 point; give two or more"),
         ("--path=0,0 1,1 1,1", "path: points 2 and 3 are at the same place"),
         ("--path=0,0 1,1,1", "path: point 2 needs two numbers, x and z in meters, not 3"),
         ("--path=0,0 inf,1", "path: point 2 is not within"),
@@ -114,7 +114,7 @@ def test_speeds_and_paths_that_no_motion_has_are_refused_first(refusal, bundle_f
 
 def test_a_path_and_a_turn_exclude_each_other(refusal, walk, tmp_path):
     said = refusal("view", walk, "-o", tmp_path / "a.npz", "--turn", "90", "--path", "0,0 1,1")
-    assert "turn: excludes path" in said
+    assert "--turn: excludes --path, which" in said
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_a_part_is_kept_and_mirrored(walk, tmp_path, trim, begin, end):
     [
         ("2", "'2' is not BEGIN:END in seconds"),
         ("a:b", "'a:b' is not BEGIN:END in seconds"),
-        ("3:2", "--trim: 2 is not a number of seconds after begin, 3"),
+        ("3:2", "--trim: 2 s is not after 3 s, where the motion begins"),
         ("-1:2", "--trim: -1 is not a number of seconds from 0"),
     ],
 )

@@ -117,6 +117,7 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
         (["--from", "missing.npz"], "missing.npz"),
         (["--redo", "1:2"], "--redo: changes a motion; give it with --from"),
         (["--vary", "0.3"], "--vary: changes a motion; give it with --from"),
+        (["--redo", "3:2", "--from", "{start}"], "--redo: 3 to 2 s ends before it begins"),
         (["--redo", "1-2"], "'1-2' is not BEGIN:END in seconds"),
         (["--redo", "1:2", "--from", "missing.npz"], "missing.npz"),
         (["--redo", "1:", "--from", "missing.npz"], "'1:' is not BEGIN:END in seconds"),
@@ -129,12 +130,12 @@ def test_a_middle_and_variations_of_a_file(refusal, bundle_folder, tmp_path, cap
         (["--from", "{start}", "--at", "1", "root=0,0"], "leave out a motion to continue"),
         (["--redo", "1:2", "--from", "{start}", "--stop-rule", "sampled"], "--redo: excludes --stop-rule"),
         (["--vary", "0.5", "--from", "{start}", "--max-codes", "3"], "--vary: excludes --max-codes"),
-        (["--seconds", "4", "--then", "a person waves", "--max-codes", "3"], "seconds: excludes max-codes"),
+        (["--seconds", "4", "--then", "a person waves", "--max-codes", "3"], "--seconds: excludes --max-codes"),
         (["--raw", "--clean"], "--raw: excludes --clean"),
         (["--vary", "1.5", "--from", "{start}"], "--vary: 1.5 is not a number from 0 to 1"),
         (
             ["--candidates", "0", "--redo", "1:2", "--from", "{start}"],
-            "candidates: 0 is not a whole number",
+            "--candidates: 0 is not a whole number",
         ),
     ],
 )
@@ -177,9 +178,9 @@ def test_the_distances_to_targets_are_said(bundle_folder, tmp_path, capsys, monk
     monkeypatch.setattr(directing, "ROUNDS", 1)
     file = tmp_path / "out.npz"
     command = ["generate", "a person walks", "--model", f"{bundle_folder}", "--candidates", "2", "-o", f"{file}"]
-    assert main([*command, "--at", "0", "root=0,0", "--at", "0.3", "left_wrist=0.9,2,0.4"]) == 0
+    assert main([*command, "--at", "0", "root=0,0", "--at", "0.3:0.4", "left_wrist=0.9,2,0.4"]) == 0
     said = capsys.readouterr().err
-    assert "t2m: root at 0 s: met, 0." in said and "t2m: left_wrist at 0.3 s: missed, " in said
+    assert "t2m: root at 0 s: met, 0." in said and "t2m: left_wrist at 0.3 to 0.4 s: missed, " in said
     assert main([*command, "--pose", "0.1", f"{file} exact"]) == 0
     assert "t2m: pose at 0.1 s: met, 0.00" in capsys.readouterr().err
 

@@ -11,6 +11,8 @@ from t2m_jax import bench
 from t2m_jax.bench import probes
 from t2m_jax.cli import bench as bench_command
 from t2m_jax.cli.main import main
+from t2m_jax.data.importers.synthetic import make_motion
+from t2m_jax.motion.motion import Motion
 from t2m_jax.sampling import TextToMotion
 from tests.bench.conftest import report
 
@@ -45,6 +47,18 @@ def test_generate_names_the_files_that_it_replaces(bundle_folder, tmp_path, repl
     assert replaced() == expected
     kept = [path.name for path in sorted(tmp_path.iterdir()) if path.read_bytes() == b"mine"]
     assert kept == sorted(set(existing) - set(expected))
+
+
+def test_what_stays_is_not_said_to_be_replaced(refusal, bundle_folder, tmp_path, replaced):
+    kept, walk = tmp_path / "kept.npz", tmp_path / "walk.npz"
+    Motion(make_motion("walk", seed=1, num_frames=60), 20.0).save(walk)
+    kept.write_text("mine")
+    refusal("view", walk, "-o", kept, "--trim", "50:")
+    command = ["generate", "a person waves", "--model", bundle_folder, "--from", walk, "-o", kept]
+    refusal(*command, "--redo", "5:99")
+    assert replaced() == [] and kept.read_text() == "mine"
+    assert main(["view", f"{walk}", "-o", f"{kept}", "--trim", "1:"]) == 0
+    assert replaced() == ["kept.npz"]
 
 
 @pytest.mark.slow

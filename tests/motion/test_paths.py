@@ -146,7 +146,7 @@ def test_impossible_turns_are_refused(degrees):
     ("points", "message"),
     [
         ([], "0 points; give two or more"),
-        ([(0, 0)], "1 points; give two or more"),
+        ([(0, 0)], "1 point; give two or more"),
         ([(0, 0), (1, 2, 3)], "point 2 needs two numbers, x and z in meters, not 3"),
         ([(0,)], "point 1 needs two numbers, x and z in meters, not 1"),
         ([(0, 0), (1, float("nan"))], "point 2 is not within 1000 m"),

@@ -69,7 +69,7 @@ def test_options_that_no_model_has_are_one_line(options, said):
         ({"start": WALK, "strength": 0.5, "seconds": 2.0}, "strength: excludes seconds"),
         ({"start": WALK, "strength": 1.5}, "strength: 1.5 is not a number from 0 to 1"),
         ({"start": WALK, "strength": NAN}, "strength: nan"),
-        ({"start": WALK, "span": (2.0, 1.0)}, "span: 2 to 1 is not a part of the motion"),
+        ({"start": WALK, "span": (2.0, 1.0)}, "span: 2 to 1 s ends before it begins"),
         ({"start": WALK, "span": (-1.0, 1.0)}, "span: -1 to 1 is not"),
         ({"start": WALK, "span": (1.0, 1.0)}, "span: 1 to 1 is no time; give seconds"),
         ({"start": WALK, "span": (NAN, 1.0)}, "span: nan to 1 is not"),

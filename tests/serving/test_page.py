@@ -356,7 +356,7 @@ def test_a_motion_is_changed_in_the_preview_and_in_files(open_studio, tmp_path):
     np.testing.assert_allclose(shown.positions, expected.positions, atol=1e-5)
     page.get_by_role("textbox", name="Path in meters").fill("0,0")
     page.get_by_role("button", name="Download NPZ").click()
-    expect(page.get_by_role("alert")).to_contain_text("path: 1 points")
+    expect(page.get_by_role("alert")).to_have_text(re.compile("^Path in meters: 1 point; give two or more"))
 
 
 def test_the_history_survives(open_studio):
