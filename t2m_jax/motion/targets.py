@@ -18,6 +18,7 @@ from t2m_jax.motion.joining import Pose, place_positions
 from t2m_jax.motion.kinematics import line_to
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.namespace import AnyArray, namespace_of
+from t2m_jax.motion.paths import LARGEST_TURN
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -43,10 +44,15 @@ FASTEST_JOINT = 12.0
 """No joint moves faster; meters per second."""
 HIGHEST_JUMP = 0.5
 """Nobody jumps higher; meters."""
-LOWEST = -0.2
-"""No joint gets lower; meters. Floors may be a little off."""
+LOWEST = -0.05
+"""No hand, knee or foot gets lower; meters. Floors may be a little off."""
 STRETCH = 1.1
-"""People of motion data may be larger than the skeleton by this factor."""
+"""People of motion data may be larger than the skeleton by this factor, or smaller."""
+RUSH_SECONDS = 1.0
+"""Time before and after a target in which a body comes to it and goes on."""
+FASTEST_LOW = 1.5
+"""A root that is lower than half a leg goes up or down no faster; meters per second. In recordings of people who
+crouch, lie down, crawl and get up, it is up to 1.44."""
 MAX_TARGETS = 64
 """Most targets of a motion."""
 SYNTAX = "TIME JOINT=X,Y,Z, such as '2.0 right_wrist=0.3,1.5,0.2', '4 root=1,3 exact' or '1:2 left_foot=0.1,0,0.5'"
@@ -221,6 +227,8 @@ def check_targets(
         # The root of KIT-ML is a joint, too, and its name is that of the place on the ground.
         if target.joint in skeleton.joint_names and target.joint not in SIZES:
             _check_reach(target, skeleton)
+        if target.joint == FACING and abs(target.place[0]) > LARGEST_TURN:
+            raise target.error(f"{target.place[0]:g} is not from -{LARGEST_TURN:.0f} to {LARGEST_TURN:.0f} degrees")
     if len(targets) > MAX_TARGETS:
         raise UserError(f"targets: {len(targets)} are more than {MAX_TARGETS}")
     fixed = [target for target in targets if not target.relative and target.joint not in (FACING, POSE)]
@@ -234,7 +242,7 @@ def check_targets(
     ordered = sorted(fixed, key=lambda target: (target.joint, target.seconds))
     for before, after in itertools.pairwise(ordered):
         if before.joint == after.joint:
-            fastest = FASTEST_ROOT if after.joint == ROOT else FASTEST_JOINT
+            fastest = FASTEST_ROOT if after.joint in (ROOT, skeleton.joint_names[0]) else FASTEST_JOINT
             seconds = after.seconds - (before.until or before.seconds)
             _check_speed(after, math.dist(before.place, after.place), max(seconds, 0.0), fastest)
 
@@ -245,14 +253,27 @@ def limb_reach(joint: str, skeleton: Skeleton) -> float:
     return STRETCH * sum(skeleton.bone_lengths[bone] for bone in bones) * skeleton.metres_per_unit
 
 
+def possible_heights(joint: str, skeleton: Skeleton) -> tuple[float, float]:
+    """Returns the lowest and the highest place of a joint over the floor, in meters."""
+    number = skeleton.joint_names.index(joint)
+    limb_starts = skeleton.face_joints
+    # Hands, knees and feet touch the floor. A trunk that is on it is about half as thick as hips are wide.
+    is_limb = not set(limb_starts).isdisjoint(line_to(number, skeleton.parents)[:-1])
+    half = min(skeleton.bone_lengths[hip] for hip in limb_starts[:2]) * skeleton.metres_per_unit / STRETCH
+    # The root is at most a leg above the floor, or as much higher as people jump.
+    toes = skeleton.joint_names[skeleton.left_foot[-1]]
+    highest = limb_reach(toes, skeleton) + limb_reach(joint, skeleton) + HIGHEST_JUMP
+    return LOWEST if is_limb else half, highest
+
+
 def _check_reach(target: Target, skeleton: Skeleton) -> None:
     """Raises `UserError` if nobody can bring a joint to its place, wherever the person stands."""
     x, y, z = target.place
+    lowest, highest = possible_heights(target.joint, skeleton)
+    if not lowest <= y <= highest:
+        fault = f"{y:g} m is under the floor" if y < 0 else f"nobody reaches a height of {y:g} m"
+        raise target.error(f"{fault}; possible: {lowest:.2f} to {highest:.2f} m")
     reach = limb_reach(target.joint, skeleton)
-    # The root is at most a leg above the floor, or as much higher as people jump.
-    toes = skeleton.joint_names[skeleton.left_foot[-1]]
-    if not LOWEST <= y <= limb_reach(toes, skeleton) + reach + HIGHEST_JUMP:
-        raise target.error(f"nobody reaches a height of {y:g} m")
     if target.relative and math.hypot(x, z) > reach:
         raise target.error(f"nobody reaches {math.hypot(x, z):.2g} m from the root")
 
@@ -304,3 +325,20 @@ def missed_targets(motion: Motion, targets: Sequence[Target]) -> str:
     found = zip(targets, distances(motion, targets), strict=True)
     missed = [f"{one.name} by {far:.2g} {one.unit}" for one, far in found if not one.is_met(far)]
     return f"misses {', '.join(missed)}" if missed else ""
+
+
+def rushed_targets(motion: Motion, targets: Sequence[Target]) -> str:
+    """Returns to or from which targets a body is too fast near the floor; "" if there are none."""
+    heights = motion.positions[:, 0, 1]
+    toes = motion.skeleton.joint_names[motion.skeleton.left_foot[-1]]
+    # Higher up, people may be much faster: they jump.
+    is_low = np.maximum(heights[1:], heights[:-1]) < limb_reach(toes, motion.skeleton) / STRETCH / 2
+    speeds = is_low * np.abs(np.diff(heights)) * motion.fps
+    reach = round(RUSH_SECONDS * motion.fps)
+    rushed = []
+    for target in targets:
+        frames = target.frames(motion.fps)
+        fastest = speeds[max(frames[0] - reach, 0) : frames[-1] + reach].max(initial=0)
+        if fastest > FASTEST_LOW:
+            rushed.append(f"{target.name}: the root goes up or down near the floor by {fastest:.1f} m/s")
+    return f"faster than people are: {', '.join(rushed)}" if rushed else ""

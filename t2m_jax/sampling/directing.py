@@ -30,7 +30,16 @@ from t2m_jax.motion.reaching import check_exact, reach_exactly
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skating import skating
 from t2m_jax.motion.skeleton import Skeleton
-from t2m_jax.motion.targets import FACING, ROOT, Target, check_targets, distances, missed_targets, seen_from_root
+from t2m_jax.motion.targets import (
+    FACING,
+    ROOT,
+    Target,
+    check_targets,
+    distances,
+    missed_targets,
+    rushed_targets,
+    seen_from_root,
+)
 from t2m_jax.sampling.batches import round_up
 from t2m_jax.sampling.decode import pad_codes
 from t2m_jax.sampling.loop import Sampling
@@ -322,7 +331,7 @@ def _round(
 
 
 def report_targets(motion: Motion, targets: Sequence[Target]) -> Motion:
-    """Returns a motion whose exact targets are met, and that says which targets it misses."""
+    """Returns a motion whose exact targets are met, and that says which it misses, and which no body could meet."""
     exact = reach_exactly(motion, targets)
-    missed = missed_targets(exact, targets)
-    return dataclasses.replace(exact, warning="; ".join(filter(None, (exact.warning, missed))))
+    found = exact.warning, missed_targets(exact, targets), rushed_targets(exact, targets)
+    return dataclasses.replace(exact, warning="; ".join(filter(None, found)))

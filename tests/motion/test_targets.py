@@ -18,6 +18,7 @@ from t2m_jax.motion.targets import (
     missed_targets,
     move_target,
     read_target,
+    rushed_targets,
     seen_from_root,
     targets_from_text,
 )
@@ -156,7 +157,17 @@ def test_what_is_no_text_is_one_line(given):
         ("0.1 left_wrist=0,1,3", "left_wrist at 0.1 s: 1.8 m in 0.1 s is faster"),
         ("2 right_wrist=0,3,0", "right_wrist at 2 s: nobody reaches a height of 3 m"),
         ("2 head=0.9,2.5,0.9", "head at 2 s: nobody reaches a height of 2.5 m"),
-        ("2 right_wrist=0,-0.5,0", "nobody reaches a height of -0.5 m"),
+        ("2 right_wrist=0,-0.5,0", "right_wrist at 2 s: -0.5 m is under the floor; possible: -0.05 to "),
+        ("1 left_foot=0.1,-0.5,0.2", "left_foot at 1 s: -0.5 m is under the floor"),
+        ("1 left_foot+=0.1,-0.1,0.2", "left_foot at 1 s: -0.1 m is under the floor"),
+        ("1 pelvis=0,0,0", "pelvis at 1 s: nobody reaches a height of 0 m; possible: 0.09 to 1.68 m"),
+        ("1 pelvis=0,-0.03,0", "pelvis at 1 s: -0.03 m is under the floor; possible: 0.09 to 1.68 m"),
+        ("1 left_hip=0,0.05,0", "nobody reaches a height of 0.05 m; possible: 0.09"),
+        ("1 head=0,0.05,0", "nobody reaches a height of 0.05 m; possible: 0.09"),
+        ("1 left_shoulder=0,0,0", "nobody reaches a height of 0 m; possible: 0.09"),
+        ("1 pelvis=0,0.9,0; 1.1 pelvis=0,0.2,0", "pelvis at 1.1 s: 0.7 m in 0.1 s is faster than 5 m/s"),
+        ("2 facing=1e9", "facing at 2 s: 1e+09 is not from -720 to 720 degrees"),
+        ("2 facing=-721", "facing at 2 s: -721 is not from -720 to 720 degrees"),
         ("2 right_wrist+=0,1,2", "nobody reaches 2 m from the root"),
         ("2 head+=0,1,0.9", "nobody reaches 0.9 m from the root"),
         ("1 root=0,0; 1.2 root=0,3", "root at 1.2 s: 3 m in 0.2 s"),
@@ -171,8 +182,29 @@ def test_what_nobody_can_meet_is_one_line(text, says):
 
 
 def test_possible_targets_pass():
-    texts = "1 root=0,3; 2 root=0,4; 1 left_wrist=0,1,3.5; 1.2 left_wrist=0,1.5,3.8; 3 facing=9"
+    texts = "1 root=0,3; 2 root=0,4; 1 left_wrist=0,1,3.5; 1.2 left_wrist=0,1.5,3.8; 3 facing=9; 4 facing=-720"
     check_targets(targets_from_text(texts), HUMANML3D)
+    # Who lies on the floor, or kneels and leans on the hands.
+    low = [f"1 {name}=0,0.12,0" for name in HUMANML3D.joint_names]
+    low += [f"1 {side}_{name}=0,0,0" for side in ("left", "right") for name in ("wrist", "knee", "ankle", "foot")]
+    for text in low:
+        check_targets(targets_from_text(text), HUMANML3D)
+
+
+def test_a_body_that_falls_and_gets_up_too_fast_is_said(motion):
+    positions = np.repeat(motion.positions[:1], 81, axis=0)
+
+    def sunk(seconds, depth):
+        way = depth * np.clip(1 - np.abs(np.arange(81) / 20 - 2) / seconds, 0, 1)
+        return Motion(positions - way[:, None, None] * [0, 1, 0], 20.0)
+
+    depth = positions[0, 0, 1] - 0.1
+    targets = targets_from_text("2 pelvis=0,0.1,0; 0.2 root=0,0")
+    said = rushed_targets(sunk(0.3, depth), targets)
+    assert said.startswith("faster than people are: pelvis at 2 s: the root goes up or down near the floor by 2.")
+    assert "0.2 s" not in said, "only the target that it is about"
+    assert rushed_targets(sunk(1.0, depth), targets) == ""
+    assert rushed_targets(sunk(0.15, 0.3), targets) == "", "a jump is fast, and not near the floor"
 
 
 def test_a_pose_of_another_skeleton_and_too_many_targets_are_refused(motion):

@@ -19,7 +19,15 @@ from t2m_jax.motion.skating import skating
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.targets import distances, read_target, targets_from_text
 from t2m_jax.sampling import MotionRequest, directing
-from t2m_jax.sampling.directing import FIT_WEIGHT, Attempt, approach_goals, goal_loss, make_goals, points_at
+from t2m_jax.sampling.directing import (
+    FIT_WEIGHT,
+    Attempt,
+    approach_goals,
+    goal_loss,
+    make_goals,
+    points_at,
+    report_targets,
+)
 from tests import tiny
 from tests.conftest import REPOSITORY
 from tests.documents import code_blocks
@@ -147,6 +155,15 @@ def test_missed_targets_are_said(director):
     apart = ["0.3 left_wrist=0.6,1,0", "0.3 left_elbow=-0.6,1,0"]  # farther than any forearm is long
     (motion,) = director.direct(CAPTION, apart, num_candidates=2)
     assert "left_wrist at 0.3 s by " in motion.warning
+
+
+def test_a_target_is_said_to_which_no_body_comes_in_time():
+    standing = np.repeat(make_motion("walk", seed=4, num_frames=10)[:1], 21, axis=0)
+    low = standing[0, 0, 1] - 0.1
+    way = low * (1 - np.abs(np.arange(21) / 10 - 1))[:, None, None] ** 6 * np.array([0.0, 1.0, 0.0])
+    target = f"0.5 pelvis={','.join(map(str, standing[0, 0] - [0, low, 0]))}"
+    said = report_targets(Motion(standing - way, 20.0), targets_from_text(target)).warning
+    assert said.startswith("faster than people are: pelvis at 0.5 s: the root goes up or down near the floor by ")
 
 
 def test_exact_targets_are_met_at_the_end(director):
