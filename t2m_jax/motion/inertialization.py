@@ -7,11 +7,13 @@ own fades. It is a way of the hips and a turn of each bone, never a way of joint
 import itertools
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.features import bone_vectors, positions_from_bones
 from t2m_jax.motion.kinematics import rigid_rotations
+from t2m_jax.motion.legs import move_foot, reaching_bends
 from t2m_jax.motion.rotations import quaternion_between, unit_vectors
 from t2m_jax.motion.skeleton import Skeleton
 from t2m_jax.motion.torso import hub_bones, torso_frames
@@ -151,3 +153,24 @@ def with_bones_of(beside: Clip, middle: Clip, skeleton: Skeleton) -> Clip:
     result = positions_from_bones(middle[:, 0], turned, skeleton)
     # With another pelvis, the root is elsewhere between the hips. The hips stay, and with them the feet.
     return result + (_hips(middle, skeleton) - _hips(result, skeleton))[:, None]
+
+
+def feet_above(ground: Clip, clip: Clip, skeleton: Skeleton) -> Clip:
+    """Returns a clip in which no ankle and no toe is lower than the lowest of either side in the frames `ground`.
+
+    If hips sink while legs swing from one pose to another, feet go through the floor. There the foot is lifted as it
+    is, and the knee bends. All other joints stay.
+    """
+    lifted = clip.copy()
+    legs = [chain[1:] for chain in skeleton.chains if chain[1] in skeleton.face_joints[:2]]
+    floors = np.min([ground[:, foot, 1].min(axis=0) for _, _, *foot in legs], axis=0)
+    for hip, knee, *foot in legs:
+        depth = np.max(floors - clip[:, foot, 1], axis=1, initial=0)
+        if not (deep := depth > 0).any():
+            continue
+        way = jnp.asarray(depth[:, None] * [0.0, 1.0, 0.0], jnp.float32)
+        joints = [jnp.asarray(clip[:, joint], jnp.float32) for joint in (hip, knee, foot[0])]
+        bent, ankle, _ = move_foot(*joints, joints[2], way, reaching_bends(*joints, way))
+        lifted[deep, knee] = bent[deep]
+        lifted[np.ix_(deep, foot)] += np.asarray(ankle - joints[2])[deep, None]
+    return lifted

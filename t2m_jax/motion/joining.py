@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.motion.features import facing, gaussian_kernel, local_positions, smooth_over_time
-from t2m_jax.motion.inertialization import Clip, Moment, Pose, fade, follow_on, with_bones_of
+from t2m_jax.motion.inertialization import Clip, Moment, Pose, fade, feet_above, follow_on, with_bones_of
 from t2m_jax.motion.rotations import quaternion_between, rotate_vectors
 from t2m_jax.motion.skeleton import Skeleton
 
@@ -138,6 +138,7 @@ def replace_middle(
     # Without frames beside it, the middle has the bones of its own first frame.
     beside = np.concatenate([head[-1:], tail[:1]]) if len(head) or len(tail) else middle[:1]
     middle = with_bones_of(beside, middle, skeleton)
+    middle = feet_above(np.concatenate([head, generated, tail]), middle, skeleton)
     return np.concatenate([head, middle, tail]).astype(np.float32)
 
 
@@ -160,6 +161,7 @@ def join_positions(first: Clip, second: Clip, *, fps: float, skeleton: Skeleton)
     if len(after):
         beside = np.stack([first[-1], moved[1:][: count + 1][-1]])
         after[:count] = with_bones_of(beside, after[:count], skeleton)
+        after[:count] = feet_above(np.concatenate([first, moved]), after[:count], skeleton)
     return np.concatenate([first, after]).astype(np.float32)
 
 

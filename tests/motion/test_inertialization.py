@@ -165,3 +165,17 @@ def test_short_motions_can_be_joined(lengths):
     assert len(joined) == sum(lengths) - 1 and np.isfinite(joined).all()
     assert np.abs(bone_lengths(joined) - bone_lengths(first)[0]).max() < 1e-4
     np.testing.assert_array_equal(joined[: len(first)], first)
+
+
+@pytest.mark.parametrize("is_middle", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "end", "start"), [("walk", 50, 29), ("walk", 50, 59), ("walk", 59, 41), ("squat", 20, 35)]
+)
+def test_no_foot_goes_through_the_floor_at_a_seam(kind, end, start, is_middle):
+    own = motion(kind, num_frames=120)
+    head = own[:end]
+    joined = redo(head, own[30:70], own[start:], first=10, last=30) if is_middle else join(head, own[start:])
+    feet = np.array([HUMANML3D.left_foot, HUMANML3D.right_foot])
+    assert (joined[:, feet, 1].min(axis=(0, 1)) > own[:, feet, 1].min(axis=(0, 1)) - 1e-4).all()
+    np.testing.assert_allclose(bone_lengths(joined), bone_lengths(own)[[0] * len(joined)], atol=1e-4)
+    np.testing.assert_array_equal(joined[:end], head)
