@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from t2m_jax.data.importers.synthetic import make_motion
 from t2m_jax.errors import UserError
 from t2m_jax.motion.bvh import load_bvh, save_bvh
 from t2m_jax.motion.bvh.writer import continuous_euler
@@ -317,6 +318,23 @@ def test_a_written_file_gives_the_positions_back(tmp_path):
     # Depth first, as spec/motion-representation.md lists HumanML3D's joints in BVH order.
     order = [0, 1, 4, 7, 10, 2, 5, 8, 11, 3, 6, 9, 12, 15, 13, 16, 18, 20, 14, 17, 19, 21]
     assert np.linalg.norm(clip.positions - positions[:, order], axis=-1).mean() < 1e-3
+
+
+@pytest.mark.parametrize("kind", ["wave-left-hand", "walk", "squat"])
+@pytest.mark.parametrize("rise", [0.0, 0.03])
+def test_the_tip_of_a_foot_that_stands_is_as_high_as_its_toe(tmp_path, kind, rise):
+    positions = make_motion(kind, seed=4, num_frames=60)
+    toes = [HUMANML3D.left_foot[1], HUMANML3D.right_foot[1]]
+    # Also a figure whose ankles are higher over the floor.
+    positions[:, [joint for joint in range(HUMANML3D.num_joints) if joint not in toes], 1] += rise
+    save_bvh(tmp_path / "a.bvh", Motion(positions, 20.0))
+    clip = load_bvh(tmp_path / "a.bvh").with_end_sites()
+    for name, toe in zip(("LeftToe", "RightToe"), toes, strict=True):
+        tip, joint = (clip.joint_names.index(found) for found in (f"{name} End Site", name))
+        heights = clip.positions[:, tip, 1] - clip.positions[:, joint, 1]
+        low = positions[:, toe, 1] < positions[:, toes, 1].min() + 0.01
+        np.testing.assert_allclose(np.median(heights[low]), 0, atol=0.01)
+    np.testing.assert_allclose(Motion.load(tmp_path / "a.bvh").positions[:, 1:], positions[:, 1:], atol=0.02)
 
 
 def test_joints_that_a_file_cannot_have_where_they_are_are_said(tmp_path, caplog):

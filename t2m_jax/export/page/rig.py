@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from t2m_jax.motion.bvh.writer import END_SITES
+from t2m_jax.motion.bvh.writer import END_SITES, FLAT_SHARE, STEEPEST
+from t2m_jax.motion.cleanup import CONTACT_HEIGHT
 from t2m_jax.motion.inverse_kinematics import ARMS, CHEST, LEGS, PELVIS, REST_DIRECTIONS, RIGID_SWEEPS
 from t2m_jax.motion.rig.rigs import rig_joint_names
 from t2m_jax.motion.skeleton import HUMANML3D
@@ -16,6 +17,7 @@ def rig_record() -> dict[str, Any]:
         "names": list(rig_joint_names("lafan1")),
         "directions": [list(map(float, REST_DIRECTIONS.get(name, (0, 0, 0)))) for name in joints],
         "ends": [END_SITES.get(name, 0.0) for name in joints],
+        "flat": {"height": CONTACT_HEIGHT, "share": FLAT_SHARE, "steepest": STEEPEST},
         "hubs": [list(PELVIS), list(CHEST)],
         "spine": [joints.index(name) for name in ("spine1", "spine2")],
         "limbs": [

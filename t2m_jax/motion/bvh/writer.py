@@ -10,12 +10,20 @@ from jaxtyping import Float
 
 from t2m_jax.errors import UserError
 from t2m_jax.files.writing import save_text
+from t2m_jax.motion.cleanup import CONTACT_HEIGHT
+from t2m_jax.motion.features import bone_vectors
 from t2m_jax.motion.inverse_kinematics import FittedRig, fit_rig
 from t2m_jax.motion.kinematics import forward_kinematics
 from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.part_captions import parts_note
 from t2m_jax.motion.rig.rigs import JointNames, rig_joint_names, root_name
-from t2m_jax.motion.rotations import EulerOrder, euler_from_matrix, matrix_from_quaternion, quaternion_from_matrix
+from t2m_jax.motion.rotations import (
+    EulerOrder,
+    euler_from_matrix,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    unit_vectors,
+)
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.travel import Travel, find_travel
 
@@ -34,6 +42,10 @@ FAR = 0.02
 """Meters between a joint and where the motion has it from which it is said: bones of a BVH file have one length."""
 # Length of each End Site relative to the last bone, up to the crown, the finger tips and the tip of the shoe.
 END_SITES = {"head": 1.7, "left_wrist": 0.65, "right_wrist": 0.65, "left_foot": 0.35, "right_foot": 0.35}
+FLAT_SHARE = 0.25
+"""Quantile of the slopes of feet whose toes are low that is taken as that of a flat foot: in others, the heel is up."""
+STEEPEST = 0.7
+"""No foot that is flat goes down more steeply from ankle to toe; sine."""
 
 
 def save_bvh(
@@ -59,7 +71,8 @@ def save_bvh(
     rig = fit_rig(motion.positions, fps=motion.fps)
     _tell_distance(path, motion, rig)
     scale = UNITS_PER_METER[units]
-    joints = _hierarchy_lines(scale * rig.offsets, rig_joint_names(names), depth=int(root_bone))
+    ends = scale * end_sites(rig.offsets, flat_slope(motion.positions))
+    joints = _hierarchy_lines(scale * rig.offsets, ends, rig_joint_names(names), depth=int(root_bone))
     columns = []
     if root_bone:
         travel = find_travel(motion.positions, fps=motion.fps, skeleton=HUMANML3D)
@@ -138,8 +151,34 @@ def _depth_first(joint: int) -> list[int]:
     return [joint] + [below for child in HUMANML3D.children(joint) for below in _depth_first(child)]
 
 
+def flat_slope(positions: Float[np.ndarray, "T J 3"]) -> float:
+    """Returns how steeply a flat foot goes down from the ankle to the toe: the sine of the angle."""
+    toes = [HUMANML3D.left_foot[1], HUMANML3D.right_foot[1]]
+    heights = positions[:, toes, 1]
+    slopes = -unit_vectors(bone_vectors(positions, HUMANML3D)[:, np.array(toes) - 1])[..., 1]
+    flat = np.quantile(slopes[heights <= heights.min() + CONTACT_HEIGHT], FLAT_SHARE, method="lower")
+    return float(np.clip(flat, 0.0, STEEPEST))
+
+
+def end_sites(offsets: Float[np.ndarray, "J 3"], slope: float) -> Float[np.ndarray, "J 3"]:
+    """Returns the place of the End Site of each joint without children in its frame; zero for the others.
+
+    Feet are level in the rest pose. When they stand, the bone to the toe goes down, and so the tip of the shoe, which
+    is as high as the toe then, is above the line of the bone.
+    """
+    ends = offsets * np.array([[END_SITES.get(name, 0.0)] for name in HUMANML3D.joint_names])
+    for toe in (HUMANML3D.left_foot[1], HUMANML3D.right_foot[1]):
+        upward = np.array([0.0, slope * np.linalg.norm(ends[toe]), 0.0])
+        ends[toe] = np.sqrt(1 - slope**2) * ends[toe] + upward
+    return ends
+
+
 def _hierarchy_lines(
-    offsets: Float[np.ndarray, "J 3"], names: Sequence[str], joint: int = 0, depth: int = 0
+    offsets: Float[np.ndarray, "J 3"],
+    ends: Float[np.ndarray, "J 3"],
+    names: Sequence[str],
+    joint: int = 0,
+    depth: int = 0,
 ) -> list[str]:
     """Returns the lines of `joint` and its descendants."""
     role = HUMANML3D.joint_names[joint]
@@ -149,10 +188,9 @@ def _hierarchy_lines(
     lines = [f"{pad}{'JOINT' if depth else 'ROOT'} {names[joint]}", pad + "{"]
     lines += [f"{inner}OFFSET {_numbers(offsets[joint])}", f"{inner}CHANNELS {channels}"]
     for child in HUMANML3D.children(joint):
-        lines += _hierarchy_lines(offsets, names, child, depth + 1)
+        lines += _hierarchy_lines(offsets, ends, names, child, depth + 1)
     if role in END_SITES:
-        end = _numbers(offsets[joint] * END_SITES[role])
-        lines += [inner + "End Site", inner + "{", f"{inner}  OFFSET {end}", inner + "}"]
+        lines += [inner + "End Site", inner + "{", f"{inner}  OFFSET {_numbers(ends[joint])}", inner + "}"]
     return [*lines, pad + "}"]
 
 

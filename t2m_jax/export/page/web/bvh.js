@@ -12,10 +12,10 @@ const numbers = (values) => values.map((value) => value.toFixed(6).replace(/^-(0
 
 const depthFirst = (parents, joint = 0) => [joint, ...childrenOf(parents, joint).flatMap((child) => depthFirst(parents, child))];
 
-function hierarchyLines(offsets, parents, rig, joint = 0, pad = "") {
+function hierarchyLines(offsets, ends, parents, rig, joint = 0, pad = "") {
   const inner = `${pad}  `;
-  const children = childrenOf(parents, joint).flatMap((child) => hierarchyLines(offsets, parents, rig, child, inner));
-  const end = children.length ? [] : [`${inner}End Site`, `${inner}{`, `${inner}  OFFSET ${numbers(scaled(offsets[joint], rig.ends[joint]))}`, `${inner}}`];
+  const children = childrenOf(parents, joint).flatMap((child) => hierarchyLines(offsets, ends, parents, rig, child, inner));
+  const end = children.length ? [] : [`${inner}End Site`, `${inner}{`, `${inner}  OFFSET ${numbers(ends[joint])}`, `${inner}}`];
   return [
     `${pad}${joint ? "JOINT" : "ROOT"} ${rig.names[joint]}`,
     `${pad}{`,
@@ -54,10 +54,10 @@ function partsNote({ part_starts: starts, part_captions: captions }, fps) {
 }
 
 // Returns the text of a BVH file of a fitted rig. If there are several sentences, the line of the first End Site tells them.
-export function bvhText({ offsets, roots, local }, { parents, fps }, rig, motion) {
+export function bvhText({ offsets, ends, roots, local }, { parents, fps }, rig, motion) {
   const angles = depthFirst(parents).map((joint) => continuousEuler(local[joint]));
   const lines = roots.map((place, frame) => numbers([...place, ...angles.flatMap((track) => scaled(track[frame], 180 / Math.PI))]));
-  const joints = hierarchyLines(offsets, parents, rig);
+  const joints = hierarchyLines(offsets, ends, parents, rig);
   if (motion.part_starts.length) joints[joints.findIndex((line) => line.endsWith("End Site"))] += partsNote(motion, fps);
   const head = ["HIERARCHY", ...joints, "MOTION", `Frames: ${roots.length}`, `Frame Time: ${(1 / fps).toFixed(9)}`];
   return `${[...head, ...lines].join("\n")}\n`;

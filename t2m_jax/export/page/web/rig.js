@@ -92,7 +92,21 @@ class Fit {
   }
 }
 
-// Returns {offsets, roots, turns, local}: the rest pose, places of the root, and rotations in the world and below the parent.
+// Returns the ends of bones without children. A foot is level in the rest pose; when it stands flat, the bone to the toe goes
+// down, and the tip of the shoe is as high as the toe.
+function endSites(frames, offsets, parents, { ends, ankles, flat }) {
+  const feet = ankles.map((ankle) => [ankle, childrenOf(parents, ankle)[0]]);
+  const heights = frames.flatMap((frame) => feet.map(([, toe]) => frame[toe][1]));
+  const low = heights.reduce((least, height) => Math.min(least, height)) + flat.height;
+  const slopes = frames.flatMap((frame) => feet.map(([ankle, toe]) => -unit(subtract(frame[toe], frame[ankle]))[1]));
+  const lowSlopes = slopes.filter((_, place) => heights[place] <= low).sort((a, b) => a - b);
+  const slope = Math.min(Math.max(lowSlopes[Math.floor(flat.share * (lowSlopes.length - 1))], 0), flat.steepest);
+  const found = offsets.map((offset, joint) => scaled(offset, ends[joint]));
+  for (const [, toe] of feet) found[toe] = add(scaled(found[toe], Math.sqrt(1 - slope ** 2)), [0, slope * length(found[toe]), 0]);
+  return found;
+}
+
+// Returns {offsets, ends, roots, turns, local}: the rest pose, ends of its bones, places of the root, and rotations in the world and below the parent.
 export function fitRig(frames, { parents, fps }, rig) {
   const paths = parents.map((_, joint) => frames.map((frame) => frame[joint]));
   const offsets = restOffsets(paths, parents, rig);
@@ -109,5 +123,6 @@ export function fitRig(frames, { parents, fps }, rig) {
   for (const limb of rig.limbs) fit.turnLimb(limb, fps, rig.twist);
   for (const joint of rig.ankles) fit.swing(joint);
   const local = fit.turns.map((turns, joint) => turns.map((turn, frame) => (joint ? multiply(inverse(fit.turns[parents[joint]][frame]), turn) : turn)));
-  return { offsets, roots: fit.joints[0], turns: fit.turns, local };
+  const ends = endSites(frames, offsets, parents, rig);
+  return { offsets, ends, roots: fit.joints[0], turns: fit.turns, local };
 }
