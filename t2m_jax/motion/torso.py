@@ -53,14 +53,15 @@ def make_hubs_rigid(
     share = mask_from_lengths(length[None], len(positions))[0] / length
     frames = torso_frames(positions, skeleton)
     axes = HINT * jnp.eye(3)
+    fit = jax.jit(fitted_rotations)  # so that it is traced once and not four times
     for hub in hub_bones(skeleton):
         own = bones[:, hub]
         goals = jnp.concatenate([own, HINT * frames], axis=1)
         # Seen from the torso, the mean is nearly the shape; from the rotations that fit it best, it is the shape.
         shape = jnp.einsum("t,tac,tbc->ba", share, frames, own)
-        shape = jnp.einsum("t,tca,tbc->ba", share, fitted_rotations(jnp.concatenate([shape, axes]), goals), own)
+        shape = jnp.einsum("t,tca,tbc->ba", share, fit(jnp.concatenate([shape, axes]), goals), own)
         shape = shape * (lengths_of(own[0]) / lengths_of(shape))
-        rotations = fitted_rotations(jnp.concatenate([shape, axes]), goals)
+        rotations = fit(jnp.concatenate([shape, axes]), goals)
         bones = bones.at[:, hub].set(jnp.einsum("tca,ba->tbc", rotations, shape))
     kept = jnp.einsum("jb,tbc->tjc", chains, bones)
     # The root moves, too, so that the others move less.

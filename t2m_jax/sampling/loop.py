@@ -138,6 +138,7 @@ def sample_codes(
     chex.assert_equal_shape_prefix([text_embedding, keys], 1)
     max_codes = sampling.max_codes
 
+    @jax.jit
     def one_row(state: LoopState, _: None) -> tuple[LoopState, tuple[Int[Array, "B R"], Float[Array, " B"]]]:
         return sample_row(generator, state, keys, sampling=sampling, given=given)
 
@@ -151,7 +152,7 @@ def sample_codes(
         return state, jax.tree.map(lambda buffer, values: buffer.at[chunk].set(values), buffers, sampled)
 
     state = first_state(generator, text_embedding, guidance_scale)
-    # Only the shape of a row is needed, and nothing is computed for it.
+    # Only the shape is needed, and nothing is computed. Under jit, a row is traced once, for this and for the loop.
     _, (row, _) = jax.eval_shape(one_row, state, None)
     # Whole chunks, so that each is written at once; what is beyond `max_codes` is cut. At -inf, no rule ends a motion.
     chunks = (-(-max_codes // CHUNK), CHUNK)
@@ -160,8 +161,7 @@ def sample_codes(
     codes = jnp.swapaxes(codes.reshape(-1, *row.shape)[:max_codes], 0, 1)
     code_lengths = sampling.stop_rule.count(scores.reshape(-1, len(keys))[:max_codes].T)
     if given is not None:
-        fixed = jnp.minimum(given.num_rows, max_codes)
-        code_lengths = jnp.where(fixed > 0, fixed, code_lengths)
+        code_lengths = jnp.where(given.num_rows > 0, jnp.minimum(given.num_rows, max_codes), code_lengths)
     # What was sampled after the end of a motion, because others went on, is not part of it.
     kept = jnp.arange(max_codes)[None] < code_lengths[:, None]
     return SampledCodes(jnp.where(kept[:, :, None], codes, 0), code_lengths, jnp.minimum(state.step, max_codes))
