@@ -19,10 +19,11 @@ PREFIX = "t2m_jax."
 def jitted_functions() -> dict:
     """Returns the functions under `jax.jit` that the modules of the package define, by name."""
     found = {}
+    jitted = type(jax.jit(len))
     for info in pkgutil.walk_packages(t2m_jax.__path__, PREFIX):
         if not info.name.endswith("__main__"):
             for name, value in vars(importlib.import_module(info.name)).items():
-                if isinstance(value, type(jax.jit(len))) and value.__module__ == info.name:
+                if isinstance(value, jitted) and value.__module__ == info.name:
                     found[f"{info.name}.{name}".removeprefix(PREFIX)] = value
     return found
 
