@@ -7,13 +7,14 @@ import pytest
 
 from t2m_jax.losses import infonce_loss
 from t2m_jax.models.contrastive import ContrastiveHead
+from tests.tiny import random_variables
 
 KEY = jax.random.key(0)
 LENGTHS = jnp.array([6, 3, 1])
 MASK = jnp.arange(6)[None] < LENGTHS[:, None]
 TEXT, ROWS = jax.random.normal(KEY, (3, 4)), jax.random.normal(KEY, (3, 6, 5))
 HEAD = ContrastiveHead()
-VARIABLES = HEAD.init(KEY, TEXT, ROWS, MASK)
+VARIABLES = random_variables(jax.eval_shape(HEAD.init, KEY, TEXT, ROWS, MASK), gain=1.0)
 APPLY = jax.jit(HEAD.apply)
 
 
