@@ -13,7 +13,7 @@ from t2m_jax.models.rows import in_precision
 from t2m_jax.models.system import variable_shapes
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import generate_codes
-from t2m_jax.sampling.stopping import StopAtHighest, StopAtThreshold
+from t2m_jax.sampling.stopping import StopAtHighest
 from t2m_jax.sampling.strategies import Greedy, Temperature, TopK, TopP
 from tests.jit import compiled_apply
 from tests.tiny import HIFIGPT, random_variables
@@ -88,7 +88,7 @@ def test_sampled_rows_are_those_of_the_whole_sequence(name, scale):
 @pytest.mark.slow
 def test_a_guidance_of_one_is_no_guidance():
     module, variables = make(HIFIGPT)
-    sampling = Sampling(Temperature(), StopAtThreshold(), HIFIGPT.max_codes)
+    sampling = Sampling(Temperature(), StopAtHighest(), HIFIGPT.max_codes)
     options = {"generator": module, "sampling": sampling}
     plain = generate_codes(variables, TEXT, KEYS, None, **options)
     guided = generate_codes(variables, TEXT, KEYS, jnp.float32(1.0), **options)
@@ -143,12 +143,13 @@ def test_noise_in_place_of_keys_draws_the_same_rows(cumulative):
 
     noise = jax.vmap(lambda key: jax.vmap(gumbel)(jax.random.split(key, HIFIGPT.num_quantizers)))(keys)
     texts = jax.random.normal(jax.random.key(5), (5, HIFIGPT.text_dim))
-    context, _ = module.apply(variables, texts, jnp.array(2.0), method="begin")
+    context, _ = compiled_apply(module, variables, texts, jnp.array(2.0), method="begin")
 
     def add_noise(logits, noise):
         return jnp.argmax(logits + noise[None], axis=-1)
 
     draw = functools.partial(module.apply, variables, context, method="draw", may_stop=jnp.array(True))
+    draw = jax.jit(draw, static_argnums=1)
     np.testing.assert_array_equal(draw(noise, add_noise), draw(keys, Temperature()))
     assert (draw(0 * noise, add_noise) != draw(noise, add_noise)).any()
 
