@@ -18,6 +18,7 @@ from t2m_jax.models.evaluator import Evaluator, EvaluatorConfig, evaluator_shape
 from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from tests import golden_files
 from tests.checkpoints.torch_archives import number, tensor, text, write_archive
+from tests.jit import compiled_apply
 
 
 def dictionary(entries) -> bytes:
@@ -66,7 +67,7 @@ def test_a_checkpoint_of_the_original_embeds_as_the_original(golden, state, tabl
     assert config == golden_files.evaluator_config(json.loads(str(golden["config"])), num_words=words.size)
     assert jax.tree.map(np.shape, variables) == jax.tree.map(lambda leaf: leaf.shape, evaluator_shapes(config))
     arguments = [golden["motions"], golden["m_lens"], words, golden["pos_ids"], golden["cap_lens"]]
-    found_text, found_motion = Evaluator(config).apply(variables, *map(jax.numpy.asarray, arguments))
+    found_text, found_motion = compiled_apply(Evaluator(config), variables, *map(jax.numpy.asarray, arguments))
     np.testing.assert_allclose(found_text, golden["text_emb"], rtol=5e-6, atol=5e-6)
     np.testing.assert_allclose(found_motion, golden["motion_emb"], rtol=5e-6, atol=5e-6)
 
@@ -90,7 +91,7 @@ def test_there_and_back_is_bit_identical(state, table, tmp_path):
 def test_without_word_vectors_motions_alone_are_embedded(golden, state, tmp_path):
     config, variables = load_evaluator(write_finest(tmp_path / "finest.tar", state))
     motion, lengths = jax.numpy.asarray(golden["motions"]), jax.numpy.asarray(golden["m_lens"])
-    found = Evaluator(config).apply(variables, motion, lengths, method="embed_motion")
+    found = compiled_apply(Evaluator(config), variables, motion, lengths, method="embed_motion")
     np.testing.assert_allclose(found, golden["motion_emb"], rtol=5e-6, atol=5e-6)
     assert "word_embedding" not in variables["params"]
 

@@ -17,6 +17,7 @@ from t2m_jax.models.vqvae import VqVae
 from t2m_jax.sampling import Greedy, StopAtEnd, TextToMotion
 from t2m_jax.sampling.loop import Sampling
 from t2m_jax.sampling.programs import decode_batch, generate_codes
+from tests.jit import compiled_apply
 from tests.tiny import BUNDLE, random_bundle, random_variables
 
 NAMES = ("vqvae", "gpt", "mean", "std")
@@ -51,8 +52,9 @@ def test_the_converted_vqvae_says_the_same(converted, published, golden_dir):
     model, variables = VqVae(bundle.config.tokenizer), jax.device_put(bundle.variables["tokenizer"])
     with np.load(golden_dir / "t2m_gpt" / "vqvae_d2_dim263_relu_ema_reset.npz") as arrays:
         motion = jnp.asarray(arrays["x"])
-        np.testing.assert_array_equal(model.apply(variables, motion, method="encode")[..., 0], arrays["code_idx"])
-        output = model.apply(variables, motion, train=False)
+        found = compiled_apply(model, variables, motion, method="encode")
+        np.testing.assert_array_equal(found[..., 0], arrays["code_idx"])
+        output = compiled_apply(model, variables, motion, train=False)
         np.testing.assert_allclose(output.reconstruction, arrays["y"], atol=1e-4, rtol=1e-4)
         codes, expected = jnp.asarray(arrays["code_idx"][:1, :, None]), arrays["dec_sample0"]
     statistics = tuple(np.load(published[name]).astype(np.float32) for name in ("mean", "std"))
@@ -68,7 +70,7 @@ def test_the_converted_gpt_says_the_same(converted, golden_dir):
     model, variables = MotionGpt(bundle.config.generator), jax.device_put(bundle.variables["generator"])
     with np.load(golden_dir / "t2m_gpt" / "gpt_l2.npz") as arrays:
         tokens, text = jnp.asarray(arrays["input_tokens"]), jnp.asarray(arrays["clip_feat"])
-        logits = model.apply(variables, tokens, text, train=False)
+        logits = compiled_apply(model, variables, tokens, text, train=False)
         np.testing.assert_allclose(logits, arrays["logits"], atol=1e-4, rtol=1e-4)
         texts, lengths, rows = (arrays[f"greedy_{name}"] for name in ("clip_feat", "length", "tokens"))
     keys = jax.random.split(jax.random.key(0), len(texts))
