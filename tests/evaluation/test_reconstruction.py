@@ -40,6 +40,13 @@ def report(tokenizer, dataset):
     return evaluate_reconstruction(tokenizer, dataset, split="test")
 
 
+@functools.partial(jax.jit, static_argnames="skeleton")
+def measure(found, wanted, mask, *, skeleton):
+    """Returns the errors of clips, then the quality of what was found and of what was wanted."""
+    qualities = [measure_quality(clips, mask, skeleton=skeleton) for clips in (found, wanted)]
+    return jnp.stack([*measure_errors(found, wanted, mask, skeleton=skeleton), *qualities[0], *qualities[1]])
+
+
 @pytest.mark.slow
 def test_figures_equal_a_plain_computation(tokenizer, dataset, report):
     encode, decode = (jax.jit(functools.partial(VqVae(VQVAE).apply, method=name)) for name in ("encode", "decode"))
@@ -55,9 +62,7 @@ def test_figures_equal_a_plain_computation(tokenizer, dataset, report):
         per_clip.append(distance.mean())
         counts += np.bincount(np.ravel(codes), minlength=VQVAE.num_codes)
         pair = [jnp.asarray(one[None], jnp.float32) for one in (found, wanted)]
-        mask = jnp.ones((1, len(found)), bool)
-        qualities = [measure_quality(one, mask, skeleton=dataset.skeleton) for one in pair]
-        measured.append([*measure_errors(*pair, mask, skeleton=dataset.skeleton), *np.concatenate(qualities)])
+        measured.append(measure(*pair, jnp.ones((1, len(found)), bool), skeleton=dataset.skeleton))
     np.testing.assert_allclose(report.mpjpe_mm, 1000 * np.concatenate(errors).mean(), rtol=1e-3)
     np.testing.assert_allclose(report.mpjpe_median_clip_mm, 1000 * np.median(per_clip), rtol=1e-3)
     assert report.codebook_usage == np.mean(counts > 0)
@@ -82,12 +87,18 @@ def test_the_batch_does_not_matter(tokenizer, dataset, report, monkeypatch):
 
 
 @pytest.mark.slow
-def test_codes_after_the_end_are_zero(tokenizer, dataset):
-    features = jnp.asarray(dataset.clips("test")[0].features[None, :16])
-    statistics = jax.tree.map(jnp.asarray, tokenizer.normalizer)
-    arguments = (jax.device_put(tokenizer.variables), statistics, features, jnp.array([12]))
-    codes = reconstruct_batch(*arguments, tokenizer=tokenizer.module, skeleton=dataset.skeleton).codes
-    assert codes.shape == (1, 4, 1) and codes[0, 3] == 0
+def test_codes_after_the_end_are_zero(tokenizer, dataset, report, monkeypatch):
+    found = []
+
+    def kept(*arguments, **options):
+        found.append((arguments[3], reconstruct_batch(*arguments, **options)))
+        return found[-1][1]
+
+    monkeypatch.setattr(reconstruction, "reconstruct_batch", kept)
+    assert evaluate_reconstruction(tokenizer, dataset, split="test") == report
+    ((lengths, result),) = found
+    is_past = np.arange(result.codes.shape[1])[None] >= np.asarray(lengths)[:, None] // 4
+    assert is_past.any() and not np.asarray(result.codes)[is_past].any()
 
 
 def test_a_split_without_clips_is_refused(tokenizer, dataset, tmp_path):
