@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.cli.evaluate import FREE_GROUPS, PLAIN_GROUPS, _measure
 from t2m_jax.cli.main import main
 from t2m_jax.errors import UserError
@@ -15,6 +16,7 @@ from t2m_jax.evaluation import run
 from t2m_jax.evaluation.prompts import following
 from t2m_jax.evaluation.prompts.catalog import prompt_tests
 from t2m_jax.evaluation.report.record import Header, Metric, Report
+from tests.tiny import random_bundle
 
 
 @pytest.mark.slow
@@ -62,15 +64,17 @@ def test_prompts_writes_json(bundle_folder, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_prompts_are_measured_without_warnings(monkeypatch, capsys):
+def test_prompts_are_measured_without_warnings(tmp_path, monkeypatch, capsys):
     original = following.evaluate_prompt_following
+    data = {"words": {"a": 9, "person": 9, "walks": 9}, "actions": {"walk": 9}}
+    save_bundle(tmp_path / "model", random_bundle()._replace(training_data=data), card="# tiny\n")
 
     def measure(tests, generate, *, num_seeds):
-        generate("a person swims north", 0)  # of which `demo` warns
+        generate("a person swims north", 0)  # of which the model warns
         return original([tests[0]._replace(sentences=tests[0].sentences[:1])], generate, num_seeds=1)
 
     monkeypatch.setattr(following, "evaluate_prompt_following", measure)
-    assert main(["evaluate", "prompts", "--model", "demo"]) == 0
+    assert main(["evaluate", "prompts", "--model", f"{tmp_path / 'model'}"]) == 0
     assert "warning" not in capsys.readouterr().err.lower()
 
 

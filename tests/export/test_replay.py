@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from t2m_jax.checkpoints.bundle import save_bundle
 from t2m_jax.cli.main import main
 from t2m_jax.data import open_dataset
 from t2m_jax.errors import UserError
@@ -75,7 +76,9 @@ def test_seeds_of_all_repetitions_are_checked_first(model, tmp_path, monkeypatch
 
 def test_the_command(tmp_path, capsys):
     (tmp_path / "sentences.txt").write_text("a person walks forward\n\n  someone waves \n")
-    command = ["data", "replay", f"{tmp_path / 'old'}", "--num-clips", "4"]
+    bundle = random_bundle()._replace(training_data={"captions": CAPTIONS})
+    save_bundle(tmp_path / "tiny", bundle, card="# tiny\n")
+    command = ["data", "replay", f"{tmp_path / 'old'}", "--model", f"{tmp_path / 'tiny'}", "--num-clips", "4"]
     assert main([*command, "--sentences", f"{tmp_path / 'sentences.txt'}"]) == 0
     assert "4 clips" in capsys.readouterr().out
     found = {caption.text for clip in open_dataset(tmp_path / "old").clips("train") for caption in clip.captions}
