@@ -256,7 +256,7 @@ def test_what_the_model_does_not_know_is_one_line_and_in_the_file(tmp_path, caps
     prompt, shown = re.search(r'\$ t2m generate "(.*?)"\n(.*?)```', readme, re.DOTALL).groups()
     output = tmp_path / "out.npz"
     sentences = [prompt, "a person walks"]
-    assert main(["generate", *sentences, "--num-samples", "2", "-o", f"{output}"]) == 0
+    assert main(["generate", *sentences, "--num-samples", "2", "--raw", "-o", f"{output}"]) == 0
     warnings = [line for line in capsys.readouterr().err.splitlines() if line.startswith("t2m: warning: ")]
     (line,) = warnings
     assert line == " ".join(shown.split())
@@ -315,7 +315,7 @@ def test_files_are_written_before_the_next_motions_are_generated(bundle_folder, 
 
     monkeypatch.setattr(ModelParts, "sample_codes", record)
     monkeypatch.setattr("t2m_jax.sampling.generation.MAX_BATCH", 2)
-    options = ["--model", f"{bundle_folder}", "--num-samples", "5", "-o", f"{tmp_path / 'walk.npz'}"]
+    options = ["--model", f"{bundle_folder}", "--num-samples", "5", "--raw", "-o", f"{tmp_path / 'walk.npz'}"]
     assert main(["generate", "a person walks", *options]) == 0
     assert counts == [0, 2, 4] and len(list(tmp_path.glob("*.npz"))) == 5
 
