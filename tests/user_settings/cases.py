@@ -290,9 +290,9 @@ def _() -> Case:
 
 @case("models.rows.apply_compiled: caption encoder")
 def _() -> Case:
-    params = init_gpt_state(GPT_TRAINING, jax.random.key(0)).params["caption_encoder"]
+    shapes = jax.eval_shape(lambda: init_network(TEXT_ENCODER, jax.random.key(0)))
     options = {"module": CaptionEncoder(TEXT_ENCODER), "train": False}
-    return Case(({"params": params}, *code_bank().captions), options)
+    return Case((weights(shapes), *code_bank().captions), options)
 
 
 @case("models.rows.apply_compiled: CLIP")
