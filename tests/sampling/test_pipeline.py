@@ -18,7 +18,7 @@ from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.skeleton import HUMANML3D, KIT_ML
 from t2m_jax.sampling import Greedy, TextToMotion, TopK, encode_motions
 from t2m_jax.sampling.model import ModelParts
-from t2m_jax.sampling.prompts import MAX_BATCH, read_prompts, sample_key
+from t2m_jax.sampling.prompts import read_prompts, sample_key
 from t2m_jax.sampling.request import MAX_SAMPLES, SamplingOptions
 from t2m_jax.text.coverage import PromptWarning
 from t2m_jax.text.encoder import TextEncoder
@@ -104,15 +104,22 @@ def test_seeds_and_samples_differ(model, eight):
     assert model.generate(CAPTIONS[0], seed=4)[0].codes.tolist() != eight[0].codes.tolist()
 
 
+@pytest.fixture
+def few_together(monkeypatch):
+    """Returns the motions of the largest batch, which is one of those that other tests compile."""
+    monkeypatch.setattr("t2m_jax.sampling.generation.MAX_BATCH", 4)
+    return 4
+
+
 @pytest.mark.slow
-def test_more_than_one_batch(model):
-    many = model.generate(CAPTIONS[0], seed=1, num_samples=MAX_BATCH + 2)
-    assert len(many) == MAX_BATCH + 2
+def test_more_than_one_batch(model, few_together):
+    many = model.generate(CAPTIONS[0], seed=1, num_samples=few_together + 2)
+    assert len(many) == few_together + 2
     assert_same(many[0], model.generate(CAPTIONS[0], seed=1)[0])
 
 
 @pytest.mark.slow
-def test_motions_are_generated_a_batch_at_a_time_as_they_are_taken(model, monkeypatch):
+def test_motions_are_generated_a_batch_at_a_time_as_they_are_taken(model, few_together, monkeypatch):
     sizes, sample_codes = [], ModelParts.sample_codes
 
     def record(self, text_embedding, *args, **kwargs):
@@ -120,12 +127,12 @@ def test_motions_are_generated_a_batch_at_a_time_as_they_are_taken(model, monkey
         return sample_codes(self, text_embedding, *args, **kwargs)
 
     monkeypatch.setattr(ModelParts, "sample_codes", record)
-    motions = model.generate_each(CAPTIONS[0], seed=1, num_samples=3 * MAX_BATCH)
+    motions = model.generate_each(CAPTIONS[0], seed=1, num_samples=3 * few_together)
     assert sizes == []
-    taken = list(itertools.islice(motions, MAX_BATCH))
-    assert len(taken) == MAX_BATCH and sizes == [MAX_BATCH]
+    taken = list(itertools.islice(motions, few_together))
+    assert len(taken) == few_together and sizes == [few_together]
     next(motions)
-    assert sizes == [MAX_BATCH, MAX_BATCH]
+    assert sizes == [few_together, few_together]
 
 
 def test_white_space_is_folded(model, eight):
@@ -139,7 +146,7 @@ def test_greedy_needs_no_seed(model):
 
 @pytest.mark.slow
 def test_length_can_be_limited(model):
-    assert all(len(motion.codes) <= 3 for motion in model.generate(CAPTIONS, max_codes=3))
+    assert all(len(motion.codes) <= 3 for motion in model.generate(CAPTIONS, max_codes=3, raw=True))
 
 
 def test_motion_is_cleaned_unless_it_is_wanted_as_decoded(model, eight):
@@ -243,11 +250,10 @@ def test_numbers_are_a_strategy(model):
 
 
 @pytest.mark.slow
-def test_progress_is_told_after_each_batch(model, monkeypatch):
-    monkeypatch.setattr("t2m_jax.sampling.generation.MAX_BATCH", 3)
+def test_progress_is_told_after_each_batch(model, few_together):
     told = []
-    model.generate(CAPTIONS[:2], num_samples=4, on_progress=lambda *counts: told.append(counts))
-    assert told == [(3, 8), (6, 8), (8, 8)]
+    model.generate(CAPTIONS[:2], num_samples=5, on_progress=lambda *counts: told.append(counts))
+    assert told == [(few_together, 10), (2 * few_together, 10), (10, 10)]
 
 
 @pytest.mark.slow
@@ -329,10 +335,11 @@ def test_the_batch_size_hardly_changes_a_code(name, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_typing_mistake_is_read_as_the_word_that_was_meant():
-    model = TextToMotion.load("demo")
+def test_a_typing_mistake_is_read_as_the_word_that_was_meant(bundle):
+    words = dict.fromkeys(("a", "person", "walks", "forward"), 9)
+    model = TextToMotion(bundle._replace(training_data={"words": words, "actions": {"walk": 9}}))
     with pytest.warns(PromptWarning, match=r"^'a person wlaks forward': wlaks: read as walks$"):
-        (motion,) = model.generate("a person wlaks forward", seed=1, max_codes=4)
+        (motion,) = model.generate("a person wlaks forward", seed=1)
     assert motion.caption == "a person wlaks forward" and motion.unknown_words == ()
     prompts = read_prompts(["a person walks forward"], model.knowledge, model.text_encoder)
     assert prompts[0].read == prompts[0].text

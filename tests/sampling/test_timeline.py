@@ -84,22 +84,22 @@ def test_one_sentence_is_the_motion_of_generate(model):
 
 
 def test_sentences_follow_one_another(model):
-    motions = model.generate_chain([FIRST, SECOND, THIRD], seed=3, num_samples=3)
+    motions = model.generate_chain([FIRST, SECOND, THIRD], seed=3, num_samples=3, raw=True)
+    firsts = model.generate(FIRST, seed=3, num_samples=3, raw=True)
     downsample = model.config.tokenizer.downsample
-    for number, motion in enumerate(motions):
+    for alone, motion in zip(firsts, motions, strict=True):
         assert (
             motion.part_captions == (FIRST, SECOND, THIRD) and motion.caption == f"{FIRST}, then {SECOND}, then {THIRD}"
         )
         assert motion.part_starts[0] == 0 and len(motion.part_starts) == 3
         assert motion.num_frames == downsample * len(motion.codes)
-        alone = model.generate(FIRST, seed=3, num_samples=3)[number]
         np.testing.assert_array_equal(motion.codes[: len(alone.codes)], alone.codes)
         assert motion.part_starts[1] == alone.num_frames
         np.testing.assert_array_equal(model.decode(motion.codes, raw=True).codes, motion.codes)
-    (again,) = model.generate_chain([FIRST, SECOND, THIRD], seed=3)
+    (again,) = model.generate_chain([FIRST, SECOND, THIRD], seed=3, raw=True)
     np.testing.assert_array_equal(again.codes, motions[0].codes)
     assert any(len(one.codes) != len(motions[0].codes) or (one.codes != motions[0].codes).any() for one in motions[1:])
-    other = model.generate_chain([FIRST, SECOND, SECOND], seed=3)[0]
+    other = model.generate_chain([FIRST, SECOND, SECOND], seed=3, raw=True)[0]
     shared = motions[0].part_starts[2] // downsample
     np.testing.assert_array_equal(other.codes[:shared], motions[0].codes[:shared])
 
