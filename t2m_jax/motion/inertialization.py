@@ -169,8 +169,8 @@ def feet_above(ground: Clip, clip: Clip, skeleton: Skeleton) -> Clip:
         if not (deep := depth > 0).any():
             continue
         way = jnp.asarray(depth[:, None] * [0.0, 1.0, 0.0], jnp.float32)
-        joints = [jnp.asarray(clip[:, joint], jnp.float32) for joint in (hip, knee, foot[0])]
-        bent, ankle, _ = move_foot(*joints, joints[2], way, reaching_bends(*joints, way))
+        start, hinge, end = (jnp.asarray(clip[:, joint], jnp.float32) for joint in (hip, knee, foot[0]))
+        bent, ankle, _ = move_foot(start, hinge, end, end, way, reaching_bends(start, hinge, end, way))
         lifted[deep, knee] = bent[deep]
-        lifted[np.ix_(deep, foot)] += np.asarray(ankle - joints[2])[deep, None]
+        lifted[np.ix_(deep, foot)] += np.asarray(ankle - end)[deep, None]
     return lifted
