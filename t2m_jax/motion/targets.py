@@ -51,8 +51,7 @@ STRETCH = 1.1
 RUSH_SECONDS = 1.0
 """Time before and after a target in which a body comes to it and goes on."""
 FASTEST_LOW = 1.5
-"""A root that is lower than half a leg goes up or down no faster; meters per second. In recordings of people who
-crouch, lie down, crawl and get up, it is up to 1.44."""
+"""A root lower than half a leg goes up or down no faster; meters per second. In recordings, it is up to 1.44."""
 MAX_TARGETS = 64
 """Most targets of a motion."""
 SYNTAX = "TIME JOINT=X,Y,Z, such as '2.0 right_wrist=0.3,1.5,0.2', '4 root=1,3 exact' or '1:2 left_foot=0.1,0,0.5'"
@@ -86,7 +85,6 @@ class Target:
             UserError: A number cannot be used with any motion.
         """
         end = self.seconds if self.until is None else self.until
-        # NaN fails each comparison, so it is refused, too.
         if not (0 <= self.seconds < math.inf and 0 <= end < math.inf):
             raise self.error("is not a time from 0")
         if end < self.seconds:
@@ -255,11 +253,10 @@ def limb_reach(joint: str, skeleton: Skeleton) -> float:
 
 def possible_heights(joint: str, skeleton: Skeleton) -> tuple[float, float]:
     """Returns the lowest and the highest place of a joint over the floor, in meters."""
-    number = skeleton.joint_names.index(joint)
-    limb_starts = skeleton.face_joints
     # Hands, knees and feet touch the floor. A trunk that is on it is about half as thick as hips are wide.
-    is_limb = not set(limb_starts).isdisjoint(line_to(number, skeleton.parents)[:-1])
-    half = min(skeleton.bone_lengths[hip] for hip in limb_starts[:2]) * skeleton.metres_per_unit / STRETCH
+    above = line_to(skeleton.joint_names.index(joint), skeleton.parents)[:-1]
+    is_limb = not set(skeleton.face_joints).isdisjoint(above)
+    half = min(skeleton.bone_lengths[hip] for hip in skeleton.face_joints[:2]) * skeleton.metres_per_unit / STRETCH
     # The root is at most a leg above the floor, or as much higher as people jump.
     toes = skeleton.joint_names[skeleton.left_foot[-1]]
     highest = limb_reach(toes, skeleton) + limb_reach(joint, skeleton) + HIGHEST_JUMP
@@ -330,10 +327,9 @@ def missed_targets(motion: Motion, targets: Sequence[Target]) -> str:
 def rushed_targets(motion: Motion, targets: Sequence[Target]) -> str:
     """Returns to or from which targets a body is too fast near the floor; "" if there are none."""
     heights = motion.positions[:, 0, 1]
-    toes = motion.skeleton.joint_names[motion.skeleton.left_foot[-1]]
+    leg = limb_reach(motion.skeleton.joint_names[motion.skeleton.left_foot[-1]], motion.skeleton) / STRETCH
     # Higher up, people may be much faster: they jump.
-    is_low = np.maximum(heights[1:], heights[:-1]) < limb_reach(toes, motion.skeleton) / STRETCH / 2
-    speeds = is_low * np.abs(np.diff(heights)) * motion.fps
+    speeds = (np.maximum(heights[1:], heights[:-1]) < leg / 2) * np.abs(np.diff(heights)) * motion.fps
     reach = round(RUSH_SECONDS * motion.fps)
     rushed = []
     for target in targets:
