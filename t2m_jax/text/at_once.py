@@ -57,6 +57,11 @@ _CLAPS = word_set("applaud clap")
 _PUNCHES = word_set("jab punch shadowbox")
 
 
+_IN_TURN = pattern(
+    r"(?<!\bran )(?<!\brun )(?<!\bruns )(?<!\brunning )\bafter\w*|",
+    r"\b(?:before|finally|first|followed|lower\w*|next|then|till|until)\b",
+)
+"""Words of an order, but not "runs after the bus". Models that know no actions get such sentences whole, and some are not cut."""
 _ACTIONS = frozenset().union(*_GAITS.values(), _RAISES, _WAVES, _CLAPS, _PUNCHES)
 
 
@@ -99,8 +104,7 @@ def said_at_once(caption: str) -> SaidAtOnce | None:
     words = words_of(own)
     arms = _arms(own, words)
     legs = _legs(own, words) if arms else None
-    # Models that know no actions get sentences with "then" whole.
-    if not arms or legs is None or len(split_sequence(caption, _ACTIONS)) > 1:
+    if not arms or legs is None or _IN_TURN.search(own) or len(split_sequence(caption, _ACTIONS)) > 1:
         return None
     return SaidAtOnce(legs, arms, _hands(own) if arms in ("raise", "wave") else frozenset())
 
