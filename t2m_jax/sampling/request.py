@@ -175,8 +175,7 @@ class MotionRequest:
     def is_plain(self) -> bool:
         """Whether it asks for motions of one sentence alone, which can be sampled together with those of others."""
         is_alone = len(self.captions) == 1 and self.start is None and not self.targets
-        said = (self.lengths, self.times, self.paces, self.sides, self.at_once)
-        return is_alone and all(one == (None,) for one in said)
+        return is_alone and self.lengths == self.times == self.paces == self.sides == self.at_once == (None,)
 
     @property
     def is_bound(self) -> bool:

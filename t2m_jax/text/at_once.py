@@ -61,8 +61,12 @@ _IN_TURN = pattern(
     r"(?<!\bran )(?<!\brun )(?<!\bruns )(?<!\brunning )\bafter\w*|",
     r"\b(?:before|finally|first|followed|lower\w*|next|then|till|until)\b",
 )
-"""Words of an order, but not "runs after the bus". Models that know no actions get such sentences whole, and some are not cut."""
+"""Words of an order, but not "runs after the bus". Not all such sentences are cut."""
 _ACTIONS = frozenset().union(*_GAITS.values(), _RAISES, _WAVES, _CLAPS, _PUNCHES)
+
+
+LONGEST = 200
+"""Characters. Longer sentences say more than one thing, and take long to read."""
 
 
 class SaidAtOnce(NamedTuple):
@@ -98,8 +102,10 @@ def in_plain_words(said: SaidAtOnce) -> str:
 def said_at_once(caption: str) -> SaidAtOnce | None:
     """Returns what a sentence asks legs and arms to do; None if it does not name both, or says that one is not done.
 
-    Who does one after the other does not do them at once.
+    Who does one after the other does not do them at once. Sentences of more than `LONGEST` characters are not read.
     """
+    if len(caption) > LONGEST:
+        return None
     own = without_others(caption)
     words = words_of(own)
     arms = _arms(own, words)

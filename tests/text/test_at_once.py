@@ -2,7 +2,7 @@
 
 import pytest
 
-from t2m_jax.text.at_once import SaidAtOnce, in_plain_words, said_at_once
+from t2m_jax.text.at_once import LONGEST, SaidAtOnce, in_plain_words, said_at_once
 
 LEFT = frozenset({"left"})
 RIGHT = frozenset({"right"})
@@ -66,6 +66,11 @@ def test_legs_and_arms_are_read(sentence, said):
 )
 def test_other_sentences_ask_for_nothing_at_once(sentence):
     assert said_at_once(sentence) is None
+
+
+def test_long_sentences_are_not_read():
+    caption = "waves while walking to the shop " + "at the corner " * 13
+    assert said_at_once(caption[:LONGEST]) is not None and said_at_once(caption) is None
 
 
 def test_plain_words_say_the_same():
