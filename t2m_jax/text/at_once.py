@@ -7,6 +7,8 @@ from t2m_jax.text.numerals import pattern, without_others
 from t2m_jax.text.sequence import split_sequence
 from t2m_jax.text.verbs import SIDES, Word, is_negated, word_set, words_of
 
+LONGEST = 200
+"""Characters. Longer sentences say more than one thing, and take long to read."""
 _GAITS = {
     "run": word_set("dash jog race run sprint trot"),
     "walk": word_set("amble march pace patrol saunter stride stroll walk wander"),
@@ -55,18 +57,12 @@ _RAISES = word_set("elevate extend hoist lift raise stretch")
 _WAVES = word_set("wave")
 _CLAPS = word_set("applaud clap")
 _PUNCHES = word_set("jab punch shadowbox")
-
-
 _IN_TURN = pattern(
     r"(?<!\bran )(?<!\brun )(?<!\bruns )(?<!\brunning )\bafter\w*|",
     r"\b(?:before|finally|first|followed|lower\w*|next|then|till|until)\b",
 )
 """Words of an order, but not "runs after the bus". Not all such sentences are cut."""
 _ACTIONS = frozenset().union(*_GAITS.values(), _RAISES, _WAVES, _CLAPS, _PUNCHES)
-
-
-LONGEST = 200
-"""Characters. Longer sentences say more than one thing, and take long to read."""
 
 
 class SaidAtOnce(NamedTuple):
