@@ -206,9 +206,8 @@ def _write(
             if (number + 1) % size and number + 1 < count:  # the file gets further motions
                 continue
             path = _file_of(output, number, count)
-            with (
-                claim([path], tells=False) if number >= size else contextlib.nullcontext()
-            ):  # `run` has claimed the first
+            # `run` has claimed the first.
+            with claim([path], tells=False) if number >= size else contextlib.nullcontext():
                 save(path, list(recent)[-(number % size + 1) :], options[output], character)
             sys.stdout.write(f"{path}\n")
             yield path

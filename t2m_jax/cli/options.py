@@ -111,12 +111,12 @@ def read_record(record: type[T], args: argparse.Namespace, **more: Any) -> T:
 @contextlib.contextmanager
 def naming_options() -> Iterator[None]:
     """Lets errors of a block, or of a function, name options in place of fields of `Changes` and `MotionRequest`."""
-    from t2m_jax.motion.changes import Changes
-    from t2m_jax.sampling.request import MotionRequest
-
     try:
         yield
     except UserError as error:
+        from t2m_jax.motion.changes import Changes
+        from t2m_jax.sampling.request import MotionRequest
+
         name, _, reason = str(error).partition(": ")
         fields = {field.name for record in (Changes, MotionRequest) for field in fields_of(record)} - {*NO_OPTIONS}
         if name.replace("-", "_") not in fields:

@@ -4,16 +4,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from t2m_jax.text.numerals import pattern, without_others
+from t2m_jax.text.paces import GAITS
 from t2m_jax.text.sequence import split_sequence
 from t2m_jax.text.verbs import SIDES, Word, is_negated, word_set, words_of
 
 LONGEST = 200
 """Characters. Longer sentences say more than one thing, and take long to read."""
-_GAITS = {
-    "run": word_set("dash jog race run sprint trot"),
-    "walk": word_set("amble march pace patrol saunter stride stroll walk wander"),
-}
-"""Verbs of gaits."""
 _GOES = pattern(
     r"\b(?:advanc\w+|go|goes|going|went|head(?:s|ed|ing)|mov(?:e|es|ed|ing)|step(?:s|ped|ping)?) ",
     r"(?:\w+ly )?(?:ahead|along|forwards?|on(?!ce)|onwards?|straight|to(?:wards?)?)\b",
@@ -62,7 +58,7 @@ _IN_TURN = pattern(
     r"\b(?:before|finally|first|followed|lower\w*|next|then|till|until)\b",
 )
 """Words of an order, but not "runs after the bus". Not all such sentences are cut."""
-_ACTIONS = frozenset().union(*_GAITS.values(), _RAISES, _WAVES, _CLAPS, _PUNCHES)
+_ACTIONS = frozenset().union(*GAITS.values(), _RAISES, _WAVES, _CLAPS, _PUNCHES)
 
 
 class SaidAtOnce(NamedTuple):
@@ -103,10 +99,12 @@ def said_at_once(caption: str) -> SaidAtOnce | None:
     if len(caption) > LONGEST:
         return None
     own = without_others(caption)
+    if _IN_TURN.search(own):
+        return None
     words = words_of(own)
     arms = _arms(own, words)
     legs = _legs(own, words) if arms else None
-    if not arms or legs is None or _IN_TURN.search(own) or len(split_sequence(caption, _ACTIONS)) > 1:
+    if not arms or legs is None or len(split_sequence(caption, _ACTIONS)) > 1:
         return None
     return SaidAtOnce(legs, arms, _hands(own) if arms in ("raise", "wave") else frozenset())
 
@@ -138,7 +136,7 @@ def _legs(text: str, words: Sequence[Word]) -> str | None:
     """Returns what legs do, empty for a path that is not checked, None if somebody goes nowhere."""
     noun = _GAIT_NOUN.search(text)
     nouns = words_of(noun["noun"]) if noun else []
-    gaits = [gait for gait, verbs in _GAITS.items() if _does(words, verbs) or _does(nouns, verbs, also_nouns=True)]
+    gaits = [gait for gait, verbs in GAITS.items() if _does(words, verbs) or _does(nouns, verbs, also_nouns=True)]
     if _BACKWARD.search(text):
         return "backward"
     if not gaits and not _GOES.search(text):
