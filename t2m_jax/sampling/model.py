@@ -38,6 +38,9 @@ from t2m_jax.sampling.text_encoders import StatesTextEncoder, make_text_encoder
 from t2m_jax.text.coverage import make_knowledge
 from t2m_jax.text.encoder import TextEncoder
 
+SAME_FEATURES = 1e-3
+"""Standard deviations by which features differ at most that were decoded from the same codes by another program."""
+
 
 class ModelParts:
     """The parts of a model on the devices of this process, and what they do with codes."""
@@ -201,7 +204,22 @@ class ModelParts:
 
     def encode(self, motion: Motion) -> Int[np.ndarray, "N R"]:
         """Returns the codes of a motion, see `TextToMotion.encode`."""
-        return encode_motion(self.tokenizer, motion, self.skeleton)
+        own = self._own_codes(motion)
+        return encode_motion(self.tokenizer, motion, self.skeleton) if own is None else own
+
+    def _own_codes(self, motion: Motion) -> Codes | None:
+        """Returns the codes that a motion was decoded from, None if it is not as this model decodes them."""
+        config = self.config.tokenizer
+        if motion.codes is None or motion.features is None or motion.skeleton != self.skeleton:
+            return None
+        codes = motion.codes.reshape(len(motion.codes), -1).astype(np.int32)
+        shape = (len(motion.features) / config.downsample, config.num_quantizers)
+        if codes.shape != shape or not ((codes >= 0) & (codes < config.num_codes)).all():
+            return None
+        # Codes of another model mean something else, and a motion of several pieces is not decoded as a whole.
+        (decoded,) = decode_motions(self.tokenizer, [codes], skeleton=self.skeleton, clean=False)
+        features = map(self.tokenizer.normalizer.normalize, (decoded.features, motion.features))
+        return codes if np.allclose(*features, rtol=0, atol=SAME_FEATURES) else None
 
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
         """Returns the motion of codes, see `TextToMotion.decode`."""

@@ -169,7 +169,17 @@ def test_a_motion_is_encoded_from_its_features_or_its_positions(model):
     np.testing.assert_array_equal(model.encode(walk.resampled(40))[2:-2], expected[2:-2])
     generated = model.generate(CAPTIONS[0], raw=True)[0]
     (expected,) = encode_motions(model.tokenizer, [generated.features], progress=False)
-    np.testing.assert_array_equal(model.encode(generated), expected)
+    np.testing.assert_array_equal(model.encode(dataclasses.replace(generated, codes=None)), expected)
+
+
+def test_a_motion_of_the_model_keeps_its_codes(model):
+    generated = model.generate(CAPTIONS[0], seed=3)[0]
+    np.testing.assert_array_equal(model.encode(generated), generated.codes)
+    others = (generated.codes + 1) % model.config.tokenizer.num_codes
+    expected = model.encode(dataclasses.replace(generated, codes=None))
+    assert (expected != generated.codes).any(), "a random tokenizer finds other codes"
+    for codes in (others, generated.codes[:-1], generated.codes + 10**9, generated.codes.repeat(2, axis=1)):
+        np.testing.assert_array_equal(model.encode(dataclasses.replace(generated, codes=codes)), expected)
 
 
 @pytest.mark.parametrize("count", [57, 58, 59, 60])
