@@ -32,8 +32,8 @@ CONTENTS = {
     "raise-right-hand": "raise-up-right-hand",
     "raise-both-hands": "raise-up-both-hands",
     "walk-backward": "walk-back",
-    "side-step-left": "walk-left",
-    "side-step-right": "walk-right",
+    "side-step-left": "sidestep-left",
+    "side-step-right": "sidestep-right",
     "show-the-way": "guide",
 }
 """Labels of the sentences -> those of data sets, where they differ."""
