@@ -103,7 +103,7 @@ class TextToMotion:
         return self.parts.tokenizer
 
     def encode(self, motion: Motion) -> Int[np.ndarray, "N R"]:
-        """Returns the codes of a motion, its own if this model made it. Frames at its end that fill none are left out."""
+        """Returns the codes of a motion, its own if this model made it. Frames at the end that fill none are cut."""
         return self.parts.encode(motion)
 
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
