@@ -228,6 +228,7 @@ def direct(model: ModelParts, request: MotionRequest, prompt: Prompt) -> list[Mo
     samples = [Sample(prompt, request.seed, number) for number in range(request.candidates)]
     candidates = model.make_samples(samples, sampling, request.options)
     ranked = sorted(candidates, key=functools.partial(cost_of, rough))
+    # The steps take most of the time, so only the samples that are near already are moved.
     moved = [
         approach_targets(model, one, rough, size=sampling.max_codes, clean=not request.options.raw)
         for one in ranked[: request.num_samples]
@@ -287,6 +288,7 @@ def approach_targets(
     codes, code_lengths = map(jnp.asarray, pad_codes([motion.codes], size=size))
     attempt = Attempt(codes, code_lengths, None)
     goals = wanted = make_goals(targets, model.skeleton)
+    # The sample itself may stay the nearest: targets can hinder each other.
     best, least = motion, cost_of(targets, finish(motion))
     for _ in range(ROUNDS):
         own, change = _round(model, motion, attempt, goals, clean=clean)

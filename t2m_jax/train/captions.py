@@ -60,6 +60,7 @@ def state_width(config: Any, *, resume: bool) -> int:
     Raises:
         UserError: The encoder cannot be found, or is of another family.
     """
+    # A run knows the width, so one that goes on looks for no encoder here.
     if resume:
         network = trained_network(load_bundle_config(config.run).text_encoder)
         return network.state_dim if isinstance(network, StateEncoderConfig) else config.state_encoder.state_dim
@@ -108,6 +109,7 @@ def make_caption_reader(
     """Returns what reads the captions: the opened encoder, or the subwords of the run or of `init`, or new ones."""
     encoder = opened.encoder
     states = opened.states
+    # A pretrained encoder reads text, and the model refers to it, so no subwords are kept.
     if encoder is not None:
         return CaptionReader(encoder, None, lambda bundle: encoder)
     if states is not None:

@@ -30,6 +30,7 @@ class Run:
             path = Path(self.path) / f"{split}.csv"
             if path.is_file():
                 header, *rows = (line.rstrip("\n").split(",") for line in whole_lines(path))
+                # A run that has just begun has a header and no rows.
                 known |= set(header) if rows else set()
                 if rows and metric in header:
                     found[split] = _curve(path, rows, header.index(metric), metric)

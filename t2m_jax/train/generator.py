@@ -110,6 +110,7 @@ def resolve_generator(config: Any, resume: bool) -> Any:
     """
     if config.trained == "text" and config.init is None:
         raise UserError("trained: the text alone needs `init`, the model whose generator reads it")
+    # Codes only mean something with their own tokenizer.
     if config.vqvae is None:
         config = dataclasses.replace(config, vqvae=config.init)
     path = config.run if resume else config.vqvae
