@@ -218,8 +218,9 @@ class ModelParts:
             return None
         # Codes of another model mean something else, and a motion of several pieces is not decoded as a whole.
         (decoded,) = decode_motions(self.tokenizer, [codes], skeleton=self.skeleton, clean=False)
-        features = map(self.tokenizer.normalizer.normalize, (decoded.features, motion.features))
-        return codes if np.allclose(*features, rtol=0, atol=SAME_FEATURES) else None
+        assert decoded.features is not None
+        apart = np.abs(decoded.features - motion.features) / np.asarray(self.tokenizer.normalizer.std)
+        return codes if (apart <= SAME_FEATURES).all() else None
 
     def decode(self, codes: Int[np.ndarray, "N ..."], *, caption: str = "", raw: bool = False) -> Motion:
         """Returns the motion of codes, see `TextToMotion.decode`."""

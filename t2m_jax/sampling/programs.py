@@ -165,10 +165,12 @@ def encode_motions(
     order = sorted(range(len(motions)), key=lambda index: len(motions[index]))
     variables = put_everywhere(tokenizer.variables)
     downsample = tokenizer.config.downsample
+    # On the host, because each motion has another length, and on devices every length would be a program.
+    normalize = jax.tree.map(np.asarray, tokenizer.normalizer).normalize
     for first in tqdm(range(0, len(order), BATCH), desc="encoding", unit="batch", disable=None if progress else True):
         chosen = order[first : first + BATCH]
         size = round_up(len(motions[chosen[-1]]), FRAME_BUCKET)
-        normalized = [np.asarray(tokenizer.normalizer.normalize(motions[index])) for index in chosen]
+        normalized = [normalize(motions[index]) for index in chosen]
         batch = pad_motions(normalized, batch=BATCH, size=size)
         mask = mask_from_lengths(jnp.asarray(batch.lengths), size)
         inputs = put_rows((batch.motion, mask))
