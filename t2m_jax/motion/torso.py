@@ -1,6 +1,7 @@
 """The torso of a cleaned clip: it trembles less, and pelvis and chest keep their shapes."""
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -53,16 +54,19 @@ def make_hubs_rigid(
     share = mask_from_lengths(length[None], len(positions))[0] / length
     frames = torso_frames(positions, skeleton)
     axes = HINT * jnp.eye(3)
-    fit = jax.jit(fitted_rotations)  # so that it is traced once and not four times
-    for hub in hub_bones(skeleton):
-        own = bones[:, hub]
+    fit = jax.jit(fitted_rotations)  # so that it is traced once and not twice
+
+    def rigid(own: Float[Array, "T 3 3"]) -> Float[Array, "T 3 3"]:
         goals = jnp.concatenate([own, HINT * frames], axis=1)
         # Seen from the torso, the mean is nearly the shape; from the rotations that fit it best, it is the shape.
         shape = jnp.einsum("t,tac,tbc->ba", share, frames, own)
         shape = jnp.einsum("t,tca,tbc->ba", share, fit(jnp.concatenate([shape, axes]), goals), own)
         shape = shape * (lengths_of(own[0]) / lengths_of(shape))
-        rotations = fit(jnp.concatenate([shape, axes]), goals)
-        bones = bones.at[:, hub].set(jnp.einsum("tca,ba->tbc", rotations, shape))
+        return jnp.einsum("tca,ba->tbc", fit(jnp.concatenate([shape, axes]), goals), shape)
+
+    hubs = np.stack(hub_bones(skeleton))
+    moved = jax.vmap(rigid, in_axes=1, out_axes=1)(bones[:, hubs])
+    bones = bones.at[:, hubs.ravel()].set(moved.reshape(len(positions), -1, 3))
     kept = jnp.einsum("jb,tbc->tjc", chains, bones)
     # The root moves, too, so that the others move less.
     return kept + jnp.mean(positions - kept, axis=1, keepdims=True)
@@ -97,9 +101,13 @@ def fitted_rotations(points: Float[Array, "N 3"], goals: Float[Array, "T N 3"]) 
     largest = jnp.sum(lengths_of(points)[None] * lengths_of(goals), axis=1, keepdims=True)
     # No eigenvalue is negative, so the largest one grows fastest.
     matrix = jnp.concatenate([first, rest], axis=1) + largest * jnp.eye(4)[None]
-    for _ in range(SQUARINGS):
+
+    def squared(_: Any, matrix: Float[Array, "T 4 4"]) -> Float[Array, "T 4 4"]:
         matrix = jnp.einsum("tab,tbc->tac", matrix, matrix)
-        matrix = matrix / jnp.trace(matrix, axis1=1, axis2=2)[:, None, None]
+        return matrix / jnp.trace(matrix, axis1=1, axis2=2)[:, None, None]
+
+    # A loop, because it compiles in a fraction of the time that all rounds would take.
+    matrix = jax.lax.fori_loop(0, SQUARINGS, squared, matrix)
     # A column of the matrix is a multiple of the quaternion. The longest is that of the largest entry of the diagonal.
     diagonal = jnp.sum(matrix * jnp.eye(4)[None], axis=2)
     longest = jax.nn.one_hot(jnp.argmax(diagonal, axis=1), 4)
