@@ -135,8 +135,8 @@ class Attempt(NamedTuple):
 
     codes: Int[Array, "1 N R"]
     code_lengths: Int[Array, " 1"]
-    change: Float[Array, "1 N C"] | None
-    """In standard deviations of the latents; None is no change."""
+    change: Float[Array, "1 N C"]
+    """In standard deviations of the latents."""
 
 
 class Approach(NamedTuple):
@@ -171,7 +171,6 @@ def approach_goals(
         return features[0], positions_from_features(features, skeleton)[0] * skeleton.metres_per_unit
 
     _, before = decode(jnp.zeros_like(latents))
-    first = jnp.zeros_like(latents) if attempt.change is None else attempt.change
 
     def loss(change: Float[Array, "1 N C"]) -> Float[Array, ""]:
         _, positions = decode(change)
@@ -186,7 +185,7 @@ def approach_goals(
         updates, state = optimizer.update(jax.grad(loss)(change), state)
         return (optax.apply_updates(change, updates), state), None
 
-    (last, _), _ = jax.lax.scan(step, (first, optimizer.init(first)), None, length=num_steps)
+    (last, _), _ = jax.lax.scan(step, (attempt.change, optimizer.init(attempt.change)), None, length=num_steps)
     return Approach(last, *decode(last))
 
 
@@ -286,7 +285,10 @@ def approach_targets(
     """
     assert motion.codes is not None
     codes, code_lengths = map(jnp.asarray, pad_codes([motion.codes], size=size))
-    attempt = Attempt(codes, code_lengths, None)
+    read = functools.partial(model.tokenizer.module.apply, method="latents_of")
+    latents = jax.eval_shape(read, model.tokenizer.variables, codes)
+    # Zeros and not None, so that all rounds have one program.
+    attempt = Attempt(codes, code_lengths, put_everywhere(jnp.zeros(latents.shape)))
     goals = wanted = make_goals(targets, model.skeleton)
     # The sample itself may stay the nearest: targets can hinder each other.
     best, least = motion, cost_of(targets, finish(motion))

@@ -237,7 +237,8 @@ def _() -> Case:
     goals = make_goals(targets, HUMANML3D)
     # Steps of Adam double the rounding of gradients near 0.
     options = {"tokenizer": make_module(TOKENIZER), "skeleton": HUMANML3D, "num_steps": 3}
-    return Case((variables, normalizer, Attempt(codes[:1], lengths[:1], None), goals), options, rtol=1e-3, atol=1e-3)
+    attempt = Attempt(codes[:1], lengths[:1], jnp.zeros((*codes[:1].shape[:2], TOKENIZER.code_dim)))
+    return Case((variables, normalizer, attempt, goals), options, rtol=1e-3, atol=1e-3)
 
 
 @case("sampling.programs.generate_codes")
