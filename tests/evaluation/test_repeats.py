@@ -246,7 +246,9 @@ def test_lengths_can_be_those_of_real_motion(generation):
 
 
 def test_what_is_expected_of_the_lengths_changes_no_motion(generation, monkeypatch):
-    monkeypatch.setattr(sources, "CHUNK", 8)  # so that motions are generated twice that are longer than expected
+    # So that the motions of a batch that are longer than expected are generated twice.
+    monkeypatch.setattr(sources, "CHUNK", 24)
+    monkeypatch.setattr(sources, "BATCH", 16)
     generator = np.random.default_rng(0)
     text = generator.normal(size=(40, 12)).astype(np.float32)
     keys = sample_keys(jax.random.key(5), jnp.arange(40), jnp.arange(40))
