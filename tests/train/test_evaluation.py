@@ -33,7 +33,7 @@ from t2m_jax.train.config import EvaluationConfig, GenerationEvaluationConfig, c
 from t2m_jax.train.experiment import find_trainer, make_best
 from t2m_jax.train.gpt import TrainGptConfig
 from tests.tiny import gpt_training, random_evaluator, vqvae_training
-from tests.train.conftest import assert_same_checkpoint, stop_at
+from tests.train.conftest import assert_same_checkpoint, skip_updates, stop_at
 
 pytestmark = pytest.mark.slow
 
@@ -192,8 +192,10 @@ def test_the_log_says_how_codes_were_chosen(training, tmp_path, caplog, monkeypa
     assert find_best(config.run).sampling == "greedy"
 
 
-def test_another_evaluator_is_refused_on_the_way(training, held_out, tmp_path):
-    train(vqvae_training(held_out, tmp_path / "run"))
+def test_another_evaluator_is_refused_on_the_way(training, held_out, tmp_path, monkeypatch):
+    skip_updates(monkeypatch)
+    config = vqvae_training(held_out, tmp_path / "run")
+    train(dataclasses.replace(config, loop=dataclasses.replace(config.loop, validate_every=0)))
     config = training("vqvae", tmp_path / "run")
     save_run_config(config.run, config)
     best = Best(step=3, metric="r_precision_1", value=0.5, evaluator="another")

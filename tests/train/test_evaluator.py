@@ -29,7 +29,7 @@ from t2m_jax.train.evaluator_config import TrainEvaluatorConfig
 from t2m_jax.train.optimizer import TrainState, make_optimizer
 from tests.golden_files import evaluator_config, evaluator_state_dict
 from tests.tiny import EVALUATOR, LOOP
-from tests.train.conftest import assert_same_checkpoint, newest_checkpoint, stop_at
+from tests.train.conftest import assert_same_checkpoint, newest_checkpoint, skip_updates, stop_at
 
 
 def training(data, run, **fields) -> TrainEvaluatorConfig:
@@ -197,6 +197,7 @@ def test_a_resumed_run_equals_one_that_never_stopped(data, finished, tmp_path, m
 
 @pytest.mark.slow
 def test_training_ends_when_validation_gets_no_better(data, tmp_path, monkeypatch):
+    skip_updates(monkeypatch)
     losses = iter([3.0, 1.0, 2.0, 2.0, 0.5])
     monkeypatch.setattr(experiment, "mean_over_batches", lambda measure, num_batches: {"loss": next(losses)})
     monkeypatch.setattr(movement, "Validation", lambda *fields: None)
