@@ -23,10 +23,17 @@ TOLERANCE = 1e-5
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Data, a tokenizer and an evaluator."""
+def data_folder(tmp_path_factory):
+    """A folder with data."""
     folder = tmp_path_factory.mktemp("devices")
     write_synthetic_dataset(folder / "data", num_clips=24, seed=0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(data_folder):
+    """Data, a tokenizer and an evaluator."""
+    folder = data_folder
     train(tiny.vqvae_training(folder / "data", folder / "vqvae"))
     save_evaluator(folder / "evaluator", tiny.random_evaluator())
     return folder
@@ -126,8 +133,8 @@ def test_the_second_system_gives_the_same_run(folder):
     assert_same_run(runs, "alone pmap", "hifigpt")
 
 
-def test_batches_banks_and_optimizers_are_divided(folder):
-    finish(start("cut", folder))
+def test_batches_banks_and_optimizers_are_divided(data_folder):
+    finish(start("cut", data_folder))
 
 
 def losses(run):
