@@ -47,8 +47,8 @@ def test_every_compiled_function_has_a_case():
     assert sorted(FUNCTIONS) == sorted(found), "add the function to tests/user_settings/cases.py, or remove its case"
 
 
-# To compile these takes longest; `make test-release` compares them.
-LONGEST = ("train.", "evaluation.", "sampling.directing.", "motion.cleanup._lock_clips")
+# To compile these takes longest; `make test-release` compares them. `motion.cleanup.clean_positions` locks feet, too.
+LONGEST = ("train.", "evaluation.", "sampling.directing.", "motion.cleanup._lock_clips", "motion.paths._locked")
 NAMES = [pytest.param(name, marks=pytest.mark.release) if name.startswith(LONGEST) else name for name in sorted(CASES)]
 
 
