@@ -290,7 +290,6 @@ def approach_targets(
     # Zeros and not None, so that all rounds have one program.
     attempt = Attempt(codes, code_lengths, put_everywhere(jnp.zeros(latents.shape)))
     goals = wanted = make_goals(targets, model.skeleton)
-    # The sample itself may stay the nearest: targets can hinder each other.
     best, least = motion, cost_of(targets, finish(motion))
     for _ in range(ROUNDS):
         own, change = _round(model, motion, attempt, goals, clean=clean)
