@@ -212,13 +212,17 @@ class ModelParts:
         config = self.config.tokenizer
         if motion.codes is None or motion.features is None or motion.skeleton != self.skeleton:
             return None
-        codes = motion.codes.reshape(len(motion.codes), -1).astype(np.int32)
+        codes = np.asarray(motion.codes, np.int32)
+        if codes.ndim == 1:
+            codes = codes[:, None]
         shape = (len(motion.features) / config.downsample, config.num_quantizers)
-        if codes.shape != shape or not ((codes >= 0) & (codes < config.num_codes)).all():
+        if not codes.size or codes.shape != shape or not ((codes >= 0) & (codes < config.num_codes)).all():
             return None
         # Codes of another model mean something else, and a motion of several pieces is not decoded as a whole.
         (decoded,) = decode_motions(self.tokenizer, [codes], skeleton=self.skeleton, clean=False)
         assert decoded.features is not None
+        if motion.features.shape != decoded.features.shape:
+            return None
         apart = np.abs(decoded.features - motion.features) / np.asarray(self.tokenizer.normalizer.std)
         return codes if (apart <= SAME_FEATURES).all() else None
 

@@ -179,8 +179,17 @@ def test_a_motion_of_the_model_keeps_its_codes(model):
     others = (generated.codes + 1) % model.config.tokenizer.num_codes
     expected = model.encode(dataclasses.replace(generated, codes=None))
     assert (expected != generated.codes).any(), "a random tokenizer finds other codes"
-    for codes in (others, generated.codes[:-1], generated.codes + 10**9, generated.codes.repeat(2, axis=1)):
+    wrong = (
+        others,
+        generated.codes[:-1],
+        generated.codes[:0],
+        generated.codes + 10**9,
+        generated.codes.repeat(2, axis=1),
+    )
+    for codes in wrong:
         np.testing.assert_array_equal(model.encode(dataclasses.replace(generated, codes=codes)), expected)
+    with pytest.raises(UserError, match="features"):
+        model.encode(dataclasses.replace(generated, features=generated.features[:, :200]))
 
 
 @pytest.mark.parametrize("count", [57, 58, 59, 60])
