@@ -37,6 +37,7 @@ logger = logging.getLogger(__name__)
 CACHE_FOLDER = ".t2m-cache"
 CACHE_NAME = "clips"
 STATES_NAME = "caption_states"
+CODES_NAME = "codes"
 FRAMES = "frames.npy"
 INDEX = "index.json"
 BLOCK = 4 * 2**20
@@ -127,16 +128,14 @@ def _hash(text: str) -> str:
     return hashlib.blake2b(text.encode(errors="surrogateescape"), digest_size=16).hexdigest()
 
 
-def cache_places(folder: Path) -> tuple[Path, Path]:
-    """Returns the two possible places of a folder's cache: next to the data, and in the user's cache folder."""
+def cache_places(folder: Path, name: str = CACHE_NAME) -> tuple[Path, Path]:
+    """Returns the two possible places of a folder's cache: next to the data, and in the user's cache folder.
+
+    Those of its captions' token states (`t2m_jax.text.caption_states`) and of its codes (`t2m_jax.train.code_cache`)
+    have the names `STATES_NAME` and `CODES_NAME`.
+    """
     user_folder = Path(platformdirs.user_cache_dir("t2m_jax"))
-    return folder / CACHE_FOLDER / CACHE_NAME, user_folder / CACHE_NAME / _hash(str(folder.resolve()))
-
-
-def state_places(folder: Path) -> tuple[Path, Path]:
-    """Returns the two possible places of the token states of a folder's captions (`t2m_jax.text.caption_states`)."""
-    here, of_user = cache_places(folder)
-    return here.parent / STATES_NAME, of_user.parents[1] / STATES_NAME / of_user.name
+    return folder / CACHE_FOLDER / name, user_folder / name / _hash(str(folder.resolve()))
 
 
 def open_clips(folder: Path, *, feature_dim: int, names: Collection[str] = ()) -> CachedClips:

@@ -140,15 +140,15 @@ def load_array(path: Path, *, mmap: bool = False) -> np.ndarray:  # any shape: t
     return array
 
 
-def _check_unpacked_size(path: Path) -> None:
+def _check_unpacked_size(path: Path, max_unpacked: int) -> None:
     with ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
-    if size > MAX_UNPACKED:
-        raise UserError(f"{path}: unpacks to {size:,} bytes; at most {MAX_UNPACKED:,} are read")
+    if size > max_unpacked:
+        raise UserError(f"{path}: unpacks to {size:,} bytes; at most {max_unpacked:,} are read")
 
 
-def load_archive(path: Path) -> dict[str, np.ndarray]:
-    """Returns the arrays of a `.npz` file by name.
+def load_archive(path: Path, *, max_unpacked: int = MAX_UNPACKED) -> dict[str, np.ndarray]:
+    """Returns the arrays of a `.npz` file by name, which have at most `max_unpacked` bytes.
 
     Raises:
         UserError: The file is missing or damaged, is too large when it is unpacked, or an entry holds Python objects.
@@ -157,7 +157,7 @@ def load_archive(path: Path) -> dict[str, np.ndarray]:
     arrays = {}
     with reading(path):
         try:
-            _check_unpacked_size(path)
+            _check_unpacked_size(path, max_unpacked)
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 for key in archive.files:
                     arrays[key] = archive[key]

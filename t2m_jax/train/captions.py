@@ -22,7 +22,7 @@ from t2m_jax.checkpoints.text_encoder import (
     trained_network,
 )
 from t2m_jax.data.banks.codes import Captions
-from t2m_jax.data.cache import state_places
+from t2m_jax.data.cache import STATES_NAME, cache_places
 from t2m_jax.models.caption_encoder import StateEncoderConfig
 from t2m_jax.sampling.text_encoders import PretrainedTextEncoder, SentenceStates, make_text_encoder
 from t2m_jax.text.bpe import load_bpe, tokenize_captions, train_bpe
@@ -113,7 +113,7 @@ def make_caption_reader(
     if encoder is not None:
         return CaptionReader(encoder, None, lambda bundle: encoder)
     if states is not None:
-        places = state_places(config.data)
+        places = cache_places(config.data, STATES_NAME)
         length = config.state_encoder.max_length
         return CaptionReader(
             lambda captions: open_state_table(places, states.fingerprint, captions, states.read_all, max_length=length),

@@ -16,6 +16,7 @@ from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
+from t2m_jax.data.cache import CODES_NAME, cache_places
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.data.index import INDEX, is_single, label_actions, load_index
 from t2m_jax.errors import UserError
@@ -242,9 +243,11 @@ def code_motions(
     config: Any, clips: Sequence[Clip], dataset: Dataset, tokenizer: TrainedTokenizer
 ) -> list[tokenize.CodedMotion]:
     """Returns clips as codes, as the config asks for."""
-    options = {name: getattr(config, name) for name in ("offsets", "timed_captions", "long_clips")}
-    options["seed"] = config.loop.seed  # not of the evaluation: clips have the same offsets in all of a run
-    return tokenize.encode_clips(clips, dataset.info, tokenizer, **options)
+    # The seed is not that of the evaluation: clips have the same offsets in all of a run.
+    seed = config.loop.seed
+    options = tokenize.CodingOptions(config.offsets, config.timed_captions, config.long_clips, seed=seed)
+    places = cache_places(dataset.folder, CODES_NAME)
+    return tokenize.encode_clips(clips, dataset.info, tokenizer, options, places)
 
 
 def learned_clips(clips: Sequence[Clip], motions: Sequence[tokenize.CodedMotion]) -> list[Clip]:

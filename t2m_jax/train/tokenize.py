@@ -5,11 +5,12 @@ import logging
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from tqdm import tqdm
 
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer
@@ -23,13 +24,13 @@ from t2m_jax.evaluation.reconstruction import evaluate_reconstruction
 from t2m_jax.motion.skeleton import Skeleton, skeleton_from_name
 from t2m_jax.sampling.programs import encode_motions
 from t2m_jax.text.rewording import reword
+from t2m_jax.train.code_cache import Codes, cached_codes, code_key
 
 logger = logging.getLogger(__name__)
 
 OffsetKind = Literal["all", "one", "hold"]
 TimedCaptionKind = Literal["encode", "slice"]
 LongClipKind = Literal["drop", "windows"]
-Codes = Int[np.ndarray, "_ R"]
 Frames = Float[np.ndarray, "_ D"]
 """Raw features."""
 Weights = Float[np.ndarray, " M"]
@@ -60,6 +61,21 @@ class CodedMotion(NamedTuple):
     """Name of the clip that it is, or is a part of."""
 
 
+class CodingOptions(NamedTuple):
+    """What is encoded of a clip."""
+
+    offsets: OffsetKind
+    """Frames at which the first code may start: all that leave the same number of codes or one fewer, or one per clip.
+    With "hold", as many are added as would be cut, where the feet stand (`fill_rows`)."""
+    timed_captions: TimedCaptionKind
+    """Codes for a caption with times: of those frames alone, or cut out of the codes of the clip."""
+    long_clips: LongClipKind = "drop"
+    """Leave out clips that are too long (the original), or cut them into windows that overlap by half. All captions of
+    a clip without times are taken to describe each of its windows."""
+    seed: int = 0
+    """Seed of the random choices."""
+
+
 def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ: bool) -> None:
     """Raises `UserError` if a tokenizer learned another kind of motion than that of a data set.
 
@@ -83,13 +99,13 @@ def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ
     logger.warning("%s %.0f mm on average", text, error)
 
 
-def starting_frames(clip: Clip, *, downsample: int, offsets: OffsetKind, seed: int) -> tuple[int, ...]:
+def starting_frames(clip: Clip, *, downsample: int, options: CodingOptions) -> tuple[int, ...]:
     """Returns the frames at which the first code of a clip may start."""
     # Each start gives other codes of the same motion: augmentation at the cost of encoding it `downsample` times.
-    if offsets != "one":
+    if options.offsets != "one":
         return tuple(range(downsample))
     # By the name of the clip, so that other clips in the data set do not change its start.
-    generator = np.random.default_rng([seed, zlib.crc32(clip.name.encode())])
+    generator = np.random.default_rng([options.seed, zlib.crc32(clip.name.encode())])
     return (int(generator.integers(len(clip.features) % downsample + 1)),)
 
 
@@ -161,11 +177,8 @@ def encode_clips(
     clips: Sequence[Clip],
     info: DatasetInfo,
     tokenizer: TrainedTokenizer,
-    *,
-    offsets: OffsetKind,
-    timed_captions: TimedCaptionKind,
-    long_clips: LongClipKind = "drop",
-    seed: int,
+    options: CodingOptions,
+    places: Sequence[Path] = (),
 ) -> list[CodedMotion]:
     """Returns what a generator learns from: whole clips, and parts of them that have captions with times, as codes.
 
@@ -173,13 +186,8 @@ def encode_clips(
         clips: The motions.
         info: Limits of lengths.
         tokenizer: Encodes the motions.
-        offsets: Frames at which the first code may start: all that leave the same number of codes or one fewer, or one
-            per clip.
-            With "hold", as many are added as would be cut, where the feet stand (`fill_rows`).
-        timed_captions: Codes for a caption with times: of those frames alone, or cut out of the codes of the clip.
-        long_clips: Leave out clips that are too long (the original), or cut them into windows that overlap by half.
-            All captions of a clip without times are taken to describe each of its windows.
-        seed: Seed of the random choices.
+        options: Which motions, and where their codes start.
+        places: Folders that may have the codes (`cached_codes`).
 
     Raises:
         NoMotionError: No clip that is long enough and has a caption is left.
@@ -187,9 +195,9 @@ def encode_clips(
     downsample = tokenizer.config.downsample
     # One code more than the shortest motion, so that every starting frame leaves at least one.
     shortest = max(2 * downsample, info.min_frames)
-    if long_clips == "windows":
+    if options.long_clips == "windows":
         clips = [window for clip in clips for window in cut_windows(clip, info)]
-    if timed_captions == "encode":
+    if options.timed_captions == "encode":
         found = [(clip.name, piece) for clip in clips for piece in samples_from_clip(clip, info)]
     else:
         found = [(clip.name, clip) for clip in clips if info.fits(len(clip.features))]
@@ -199,9 +207,12 @@ def encode_clips(
     if left_out:
         limits = f"shorter than {info.min_frames} or longer than {info.max_frames + 3} frames, or no caption for it all"
         logger.warning("%s: %d of %d clips are not used whole (%s)", info.name, left_out, len(clips), limits)
-    starts = [starting_frames(piece, downsample=downsample, offsets=offsets, seed=seed) for piece in pieces]
-    begin = _start_at(info, downsample=downsample, offsets=offsets)
-    codes = _encode_shifted(tokenizer, [piece.features for piece in pieces], starts, begin)
+    starts = [starting_frames(piece, downsample=downsample, options=options) for piece in pieces]
+    begin = _start_at(info, downsample=downsample, offsets=options.offsets)
+    pairs = [(piece.features, frames) for piece, frames in zip(pieces, starts, strict=True)]
+    cuts = f"{options.offsets} {info.max_frames} {info.skeleton} {starts}"
+    key = code_key(tokenizer.fingerprint, cuts, (piece.features for piece in pieces))
+    codes = cached_codes(places, key, lambda: _encode_shifted(tokenizer, pairs, begin))
     motions = []
     for (name, piece), frames in zip(found, starts, strict=True):
         variants = tuple(next(codes) for _ in frames)
@@ -216,10 +227,9 @@ def encode_clips(
 
 
 def _encode_shifted(
-    tokenizer: TrainedTokenizer, features: Sequence[Frames], starts: Sequence[Sequence[int]], begin: Begin
+    tokenizer: TrainedTokenizer, pairs: Sequence[tuple[Frames, Sequence[int]]], begin: Begin
 ) -> Iterator[Codes]:
     """Yields the codes of each motion from each of its starting frames; most of the time before a first update."""
-    pairs = list(zip(features, starts, strict=True))
     with tqdm(total=len(pairs), desc="encoding", unit="motion", disable=None) as progress:
         # Not all at once: held frames are copies, many times the size of the data set.
         for first in range(0, len(pairs), MOTIONS_TOGETHER):

@@ -100,6 +100,7 @@ WRITERS = {
     "t2m_jax.motion.normalizer",
     "t2m_jax.serving.files",
     "t2m_jax.text.caption_states",
+    "t2m_jax.train.code_cache",
     "t2m_jax.train.log",
 }
 """Modules that open files to write. All do so inside of `atomic_file` or `atomic_folder`, but for rows of the log, the

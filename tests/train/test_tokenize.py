@@ -19,7 +19,14 @@ from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.text.bpe import tokenize_captions, train_bpe
 from t2m_jax.train import tokenize as train_tokenize
 from t2m_jax.train.gpt import make_targets, training_batch
-from t2m_jax.train.tokenize import balanced_weights, encode_clips, fill_rows, make_code_bank, with_share
+from t2m_jax.train.tokenize import (
+    CodingOptions,
+    balanced_weights,
+    encode_clips,
+    fill_rows,
+    make_code_bank,
+    with_share,
+)
 from tests.tiny import CAPTIONS, LOOP, VQVAE, gpt_training, random_variables
 
 INFO = DatasetInfo(name="fake", min_frames=40, max_frames=196)
@@ -62,11 +69,31 @@ def first_frames(monkeypatch):
 
 
 def coded(vqvae, clips, *, info=INFO, **options):
-    return encode_clips(clips, info, vqvae, **({"offsets": "all", "timed_captions": "encode", "seed": 5} | options))
+    options = {"offsets": "all", "timed_captions": "encode", "seed": 5} | options
+    return encode_clips(clips, info, vqvae, CodingOptions(**options))
 
 
 def texts(motions):
     return [[caption.text for caption in motion.captions] for motion in motions]
+
+
+def assert_same_codes(found, expected):
+    assert texts(found) == texts(expected)
+    for motion, same in zip(found, expected, strict=True):
+        for codes, read in zip(motion.variants, same.variants, strict=True):
+            np.testing.assert_array_equal(codes, read)
+
+
+def test_codes_are_read_again(first_frames, vqvae, tmp_path, monkeypatch):
+    ways = [CodingOptions(offsets, "encode", seed=seed) for offsets in ("all", "one", "hold") for seed in (5, 6)]
+    first = [encode_clips(CLIPS, INFO, vqvae, way, [tmp_path]) for way in ways]
+    for way, motions in zip(ways, first, strict=True):
+        assert_same_codes(motions, encode_clips(CLIPS, INFO, vqvae, way))  # none are those of another way
+    monkeypatch.setattr(train_tokenize, "encode_motions", None)
+    for way, motions in zip(ways, first, strict=True):
+        assert_same_codes(encode_clips(CLIPS, INFO, vqvae, way, [tmp_path]), motions)
+    with pytest.raises(TypeError):  # these frames have not been encoded
+        encode_clips([clip("whole", 64, Caption("walks"))], INFO, vqvae, ways[0], [tmp_path])
 
 
 def test_motions_are_whole_clips_and_time_tagged_parts(first_frames, vqvae, caplog):
