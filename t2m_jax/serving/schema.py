@@ -73,7 +73,7 @@ PYTHON_ONLY = ("strategy", "max_codes")
 SEVERAL = tuple(name for name in motion_formats() if name not in SINGLE)
 """Formats that can contain several motions."""
 BASE64_LETTERS = b"abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789+/="
-InputFormat = Literal["npz", "bvh", "glb", "vrma"]
+InputFormat = Literal["npz", "bvh", "glb", "vrma", "npy"]
 
 
 def decode_base64(text: object) -> bytes:

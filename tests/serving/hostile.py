@@ -8,6 +8,7 @@ import argparse
 import asyncio
 import base64
 import http.client
+import io
 import json
 import multiprocessing
 import os
@@ -22,6 +23,8 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from tests.fuzz.mutations import mutate
 from tests.motion.character_files import write_character
@@ -69,6 +72,9 @@ class Requests:
         self.npz, self.draws = npz, random.Random(seed)
         with tempfile.TemporaryDirectory() as folder:
             self.glb = base64.b64encode(write_character(Path(folder) / "a.glb", BANDAI).read_bytes()).decode()
+        joints = io.BytesIO()
+        np.save(joints, np.zeros((20, 22, 3), np.float32))
+        self.npy = base64.b64encode(joints.getvalue()).decode()
 
     def body(self) -> tuple[str, dict]:
         """Returns a path and a body that the server takes."""
@@ -90,7 +96,7 @@ class Requests:
 
     def damaged_file(self) -> bytes:
         """Returns a file whose bytes or numbers are wrong."""
-        return mutate(base64.b64decode(self.draws.choice((self.npz, self.glb))), self.draws)
+        return mutate(base64.b64decode(self.draws.choice((self.npz, self.glb, self.npy))), self.draws)
 
     def draw(self) -> tuple[bytes, bool]:
         """Returns the bytes of a request, and whether its first lines are those of a browser."""
@@ -115,7 +121,7 @@ class Requests:
             )
             body = json.dumps(fields).encode()
         elif kind == "file":
-            path, body = f"/scene?format={self.draws.choice(('npz', 'bvh', 'glb', 'vrma'))}", self.damaged_file()
+            path, body = f"/scene?format={self.draws.choice(('npz', 'bvh', 'glb', 'vrma', 'npy'))}", self.damaged_file()
         elif kind == "query":
             place, _, query = path.partition("?")
             path = f"{place}?{printable(mutate(query.encode() or b'format=bvh', self.draws))}"

@@ -1,5 +1,6 @@
 """Files for download, and files that users bring."""
 
+import base64
 import io
 import json
 
@@ -10,6 +11,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.npz import write_npz
 from t2m_jax.motion.bvh import load_bvh
 from t2m_jax.motion.changes import Changes
+from t2m_jax.motion.features import features_from_positions
 from t2m_jax.motion.formats import format_options, load_motion, motion_formats
 from t2m_jax.motion.targets import targets_from_text
 from t2m_jax.serving.files import Names, make_file, motion_file, motion_record, move_character, open_file
@@ -156,6 +158,24 @@ def test_the_scene_of_a_file(nasty):  # noqa: F811
     assert found["motion"]["frames"] == 20 and found["motion"]["caption"] == nasty.caption
     (figure,) = found["scene"]["figures"]
     assert figure["frames"] == 20 and found["scene"]["seconds"] == 1.0
+
+
+@pytest.mark.parametrize("kind", ["positions", "features"])
+def test_arrays_of_a_data_set_are_opened(walk, kind):  # noqa: F811
+    file = io.BytesIO()
+    np.save(file, walk.positions if kind == "positions" else features_from_positions(walk.positions, walk.skeleton))
+    opened = json.loads(open_file(file.getvalue(), "npy", Changes(mirror=True), names=Names("012314.npy")))
+    assert opened["motion"]["fps"] == 20
+    found = read_back(base64.b64decode(opened["motion"]["npz"]), "npz")
+    expected = read_back(file.getvalue(), "npy").mirrored()
+    np.testing.assert_allclose(found.positions, expected.positions, atol=1e-5)
+
+
+def test_another_array_is_refused_by_its_name():
+    file = io.BytesIO()
+    np.save(file, np.zeros((30, 24, 3), np.float32))
+    with pytest.raises(UserError, match=r"^smpl\.npy: an array of shape \[30, 24, 3\] is not a motion; it needs"):
+        open_file(file.getvalue(), "npy", Changes(), names=Names("smpl.npy"))
 
 
 def test_a_sentence_is_split(walk):  # noqa: F811

@@ -114,7 +114,10 @@ def test_all_sampling_options_reach_the_record():
         ({"strength": 0.5}, "strength: changes a motion; give it as start"),
         ({"start": "%%%"}, "request: start: is not base64"),
         ({"start": 3}, "request: start: is not base64"),
-        ({"start_format": "exe"}, "request: start_format: input should be 'npz', 'bvh', 'glb' or 'vrma', not 'exe'"),
+        (
+            {"start_format": "exe"},
+            "request: start_format: input should be 'npz', 'bvh', 'glb', 'vrma' or 'npy', not 'exe'",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_named(fields, message):
