@@ -245,7 +245,7 @@ def code_motions(
     """Returns clips as codes, as the config asks for."""
     # The seed is not that of the evaluation: clips have the same offsets in all of a run.
     seed = config.loop.seed
-    options = tokenize.CodingOptions(config.offsets, config.timed_captions, config.long_clips, seed=seed)
+    options = tokenize.CodingOptions(config.offsets, config.timed_captions, seed, config.long_clips)
     places = cache_places(dataset.folder, CODES_NAME)
     return tokenize.encode_clips(clips, dataset.info, tokenizer, options, places)
 

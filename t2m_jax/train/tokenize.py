@@ -69,11 +69,11 @@ class CodingOptions(NamedTuple):
     With "hold", as many are added as would be cut, where the feet stand (`fill_rows`)."""
     timed_captions: TimedCaptionKind
     """Codes for a caption with times: of those frames alone, or cut out of the codes of the clip."""
+    seed: int
+    """Seed of the random choices."""
     long_clips: LongClipKind = "drop"
     """Leave out clips that are too long (the original), or cut them into windows that overlap by half. All captions of
     a clip without times are taken to describe each of its windows."""
-    seed: int = 0
-    """Seed of the random choices."""
 
 
 def check_tokenizer(tokenizer: TrainedTokenizer, dataset: Dataset, *, may_differ: bool) -> None:

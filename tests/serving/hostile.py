@@ -22,10 +22,11 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
+from t2m_jax.serving.schema import InputFormat
 from tests.fuzz.mutations import mutate
 from tests.motion.character_files import write_character
 from tests.motion.rig.test_retarget import BANDAI
@@ -121,7 +122,7 @@ class Requests:
             )
             body = json.dumps(fields).encode()
         elif kind == "file":
-            path, body = f"/scene?format={self.draws.choice(('npz', 'bvh', 'glb', 'vrma', 'npy'))}", self.damaged_file()
+            path, body = f"/scene?format={self.draws.choice(get_args(InputFormat))}", self.damaged_file()
         elif kind == "query":
             place, _, query = path.partition("?")
             path = f"{place}?{printable(mutate(query.encode() or b'format=bvh', self.draws))}"
