@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from t2m_jax.text.verbs import (
     AUXILIARIES,
-    BODY_PARTS,
+    BODY,
     CLAUSE_STARTS,
     DETERMINERS,
     PREPOSITIONS,
@@ -19,7 +19,6 @@ from t2m_jax.text.verbs import (
     words_of,
 )
 
-_BODY = BODY_PARTS | word_set("body fist gaze hip neck palm spine thumb torso trunk")
 _PARTICLES = word_set("away back down forward off out sideways up")
 _BENDS = word_set("arch bend bow curl incline lean lunge nod stoop sway tilt")
 """Verbs for a posture that ends when the person is upright again."""
@@ -74,7 +73,7 @@ def only_ends(first: str, second: str) -> bool:
 def _stands_again(before: Sequence[Word], after: Sequence[Word]) -> bool:
     """Returns whether a bend ends: "bows, then stands upright"."""
     first, second = bases_of(before), bases_of(after)
-    bends = _BENDS & first or (_TURNS & first and _BODY & first)
+    bends = _BENDS & first or (_TURNS & first and BODY & first)
     return bool(bends and (_UNBENDS & second or (_UPRIGHT & second and _STANDS & second)))
 
 
@@ -86,18 +85,18 @@ def _moves_it(before: Sequence[Word], after: Sequence[Word]) -> bool:
     pronouns = [text for earlier, text in itertools.pairwise(names) if earlier not in PREPOSITIONS]
     is_moved = texts[:1] in (["it"], ["they"]) and not (AUXILIARIES | _RETURNS).isdisjoint(bases_of(after[1:2]))
     is_about_it = is_moved or not {"it", "them"}.isdisjoint(pronouns)
-    if _BODY & bases_of(_subject(before)):
+    if BODY & bases_of(_subject(before)):
         # Without a subject of its own, a clause has that of the clause before.
         return is_about_it or (DETERMINERS | SUBJECTS).isdisjoint(texts[:1])
-    return is_about_it and bool(_BODY & bases_of(_object(before)))
+    return is_about_it and bool(BODY & bases_of(_object(before)))
 
 
 def _brings_back(before: Sequence[Word], after: Sequence[Word]) -> bool:
     """Returns whether a part of the body goes back: "pulls the fist back", "the head comes up again"."""
     direct = list(itertools.takewhile(lambda word: word.text not in PREPOSITIONS, after))
-    parts = [place for place, word in enumerate(direct) if _BODY & word.bases]
+    parts = [place for place, word in enumerate(direct) if BODY & word.bases]
     # "Back" alone says so: "throws a punch, then pulls the fist back".
-    returns = _RETURNS if _BODY & (bases_of(before) | bases_of(_subject(after))) else {"back"}
+    returns = _RETURNS if BODY & (bases_of(before) | bases_of(_subject(after))) else {"back"}
     return bool(parts) and not bases_of(after[parts[0] + 1 :]).isdisjoint(returns)
 
 
@@ -127,12 +126,12 @@ def fill_in(first: str, second: str) -> tuple[str, str] | None:
 def name_part(clause: str, other: str) -> str:
     """Returns a clause with the part of the body that only the other one names: "the left" may be the left hand."""
     named = re.findall(r"\b(?:left|right) (\w+)", other, re.IGNORECASE)
-    parts = [part for part in named if forms(part.lower()) & _BODY]
+    parts = [part for part in named if forms(part.lower()) & BODY]
     return _NO_NOUN.sub(rf"\g<side> {parts[0]}", clause) if parts else clause
 
 
 def _only_other_side(clause: str) -> bool:
-    texts = [word for word in words_of(_SAME.sub(" ", clause)) if not (_FILLERS | _BODY) & word.bases]
+    texts = [word for word in words_of(_SAME.sub(" ", clause)) if not (_FILLERS | BODY) & word.bases]
     return len(texts) == 1 and texts[0].text in SIDES | _OTHER
 
 

@@ -1,22 +1,27 @@
 """Directions that people leave out, in words that captions have: "she returns" is read as "she walks forward".
 
 Captions name the gait and the direction of who goes somewhere, and the side of a turn. People often name neither, and
-their "back" and "away" mean where to, not which way somebody faces. The verbs are those of Levin, English Verb Classes
-and Alternations (1993), sections 51.1 and 51.3.2, and a few more, without those of motions that are no gait, such as
-climbing.
+their "back" and "away" mean where to, not which way somebody faces. Who only turns or goes to a side walks around a
+corner. The verbs are those of Levin, English Verb Classes and Alternations (1993), sections 51.1 and 51.3.2, and a few
+more, without those of motions that are no gait, such as climbing.
 """
 
 import re
 from collections.abc import Collection
 
 from t2m_jax.text.numerals import pattern
+from t2m_jax.text.subjects import THINGS
 from t2m_jax.text.verbs import (
     BEFORE_BASE_FORM,
+    BODY,
     BODY_PARTS,
+    CLAUSE_STARTS,
     DETERMINERS,
     LIGHT_VERBS,
     PREPOSITIONS,
+    bases_of,
     form_of,
+    forms,
     inflected,
     is_negated,
     readings,
@@ -116,8 +121,29 @@ _TURN = pattern(
 _TURNS_AROUND = "a person turns around to the right on the spot"
 _STILL = word_set("stand stay stop talk tell wait")
 """What somebody may do who turns around, without another motion."""
-_SIDE = pattern(r"\b(?:\w*clockwise|circles?|corner|left|right(?! a?round)|times|twice)\b")
+_SIDE = pattern(r"\b(?:\w*clockwise|circles?|corner|left(?:wards?)?|right(?:wards?)?(?! a?round)|times|twice)\b")
 _ON_THE_SPOT = pattern(r"\b(?:in place|on the spot)\b")
+_HOW = r"(?: (?!diagonal|lateral)\w+ly| again| a (?:bit|little))*"
+_TO_SIDE = (
+    rf"(?:(?:to|towards?|in the direction of) (?:(?:the|{_OWN}) )?(?:left|right)(?:(?:[ -]hand)? (?:direction|side))?|"
+    r"(?:left|right)(?:wards?)?)"
+    rf"{_HOW}[.!]*"
+)
+_CIRCLES = word_set("complete entire full half quarter whole")
+"""Of a turn: it is on the spot."""
+_KIND = rf"(?:(?!{'|'.join(_CIRCLES)})[a-z]+ )?"
+_A_CORNER = rf"(?:an?|the next) {_KIND}(?:(?:left|right)(?:[ -]hand)?(?: turn)?{_HOW}[.!]*|turn{_HOW} {_TO_SIDE})"
+_ONLY_TO_SIDE = pattern(
+    r"(?P<before>.*?)(?<![\w-])(?P<verb>(?:(?:do|execut|hang|hook|mak|perform|tak)\w*|did|hung|made|took)",
+    rf"(?= {_A_CORNER}$)|\w+(?=(?: off)?{_HOW} {_TO_SIDE}$))(?P<way>.*)",
+)
+_CORNER = pattern(rf"(?:an? )?(?P<turn>{_KIND}(?:left|right)[ -]turn[.!]*|(?<=[an] ){_KIND}turn{_HOW} {_TO_SIDE})")
+"""A sentence without a verb: "a slow turn to the left"."""
+_TURNS_OR_GOES = _WALKS | _RUNS | word_set("curve do execute go hang head hook make perform swerve take turn veer")
+"""Verbs that say with a side that somebody turns, or goes to that side."""
+_STAYS = word_set("crouch kneel lie lay seat sit squat stand stay")
+_NO_SUBJECT = (_STAYS | _CIRCLES | BODY | CLAUSE_STARTS | PREPOSITIONS | THINGS) - BEFORE_BASE_FORM
+"""Words before a verb with which it is no walk: "the seated man turns left", "her head turns left"."""
 _WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
 
 
@@ -125,7 +151,8 @@ def with_directions(prompt: str, known: Collection[str], actions: Collection[str
     """Returns a sentence with the directions that it leaves out, and which gaits were read as walking or running.
 
     Who goes somewhere goes forward, and who turns around does so on the spot and to the right; if that is the only
-    action, nothing else of the sentence is kept. Other sentences, and those that name a direction, stay as they are.
+    action, nothing else of the sentence is kept. Who only turns or goes to a side walks forward and turns. Other
+    sentences, and those that name a direction, stay as they are.
 
     Args:
         prompt: A checked sentence.
@@ -141,6 +168,11 @@ def with_directions(prompt: str, known: Collection[str], actions: Collection[str
         verb = _in_form_of(turn[turn.lastgroup or 0], "turn")
         spot = "" if _ON_THE_SPOT.search(prompt) else " on the spot"
         return f"{prompt[: turn.start()]}{verb} around to the right{spot}{prompt[turn.end() :]}", {}
+    if (noun := _CORNER.fullmatch(prompt)) is not None:
+        return f"a person walks forward and makes a {noun['turn']}", {}
+    corner = _find_corner(prompt)
+    if corner is not None:
+        return _with_corner(corner, known)
     text = _IDIOM.sub(_as_go, prompt)
     travel = None if _OTHERWISE.search(text) else _find_travel(text)
     return (prompt, {}) if travel is None else _with_way(text, *travel, known)
@@ -159,6 +191,13 @@ def find_turn(sentence: str) -> re.Match[str] | None:
     return None if is_other else found
 
 
+def only_turns_to_side(sentence: str) -> bool:
+    """Returns whether all that a sentence says is that somebody turns to a side: "she slowly turns left"."""
+    corner = _find_corner(sentence)
+    turns = corner is not None and _TRAVELS.isdisjoint(forms(corner["verb"].lower()))
+    return turns or _CORNER.fullmatch(sentence) is not None
+
+
 def goes_somewhere(sentence: str, *, at_once: bool = False) -> bool:
     """Returns whether somebody goes to a place that a sentence names: "walks in", "returns", but not "walks".
 
@@ -166,6 +205,26 @@ def goes_somewhere(sentence: str, *, at_once: bool = False) -> bool:
     """
     travel = _find_travel(_IDIOM.sub(_as_go, sentence))
     return travel is not None and not (at_once and travel[0].start())
+
+
+def _find_corner(sentence: str) -> re.Match[str] | None:
+    """Returns the parts of a sentence in which somebody turns or goes to a side, and does nothing else."""
+    found = _ONLY_TO_SIDE.fullmatch(sentence)
+    if found is None or _TURNS_OR_GOES.isdisjoint(forms(found["verb"].lower())):
+        return None
+    before = words_of(sentence)[: len(words_of(found["before"]))]
+    does_more = any(word.action not in LIGHT_VERBS | {""} for word in before)
+    is_other = does_more or is_negated(before) or not _NO_SUBJECT.isdisjoint(bases_of(before))
+    return None if is_other or _OTHERWISE.search(found["before"]) else found
+
+
+def _with_corner(found: re.Match[str], known: Collection[str]) -> tuple[str, dict[str, str]]:
+    """Returns the sentence of `_find_corner` as a walk, and which gait was read as another."""
+    verb = found["verb"].lower()
+    going = next((base for base in readings(verb).get("VERB", ()) if base in _TRAVELS), "")
+    gait, read = _known_gait(found["verb"], going, known)
+    turns = _in_form_of(verb, "turn") if going else verb
+    return f"{found['before']}{gait} forward and {turns}{found['way']}", read
 
 
 def _find_travel(text: str) -> tuple[re.Match[str], str] | None:
@@ -179,14 +238,19 @@ def _find_travel(text: str) -> tuple[re.Match[str], str] | None:
 
 def _with_way(text: str, found: re.Match[str], verb: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
     after = text[found.end() :]
-    is_gait = verb in _WALKS | _RUNS
-    said = found[0] if is_gait and verb in known else _in_form_of(found[0], "run" if verb in _RUNS else "walk")
+    said, read = _known_gait(found[0], verb, known)
     forward = "" if _FORWARD.search(text) else " forward"
     into = f" {_OBJECTS[verb]}" if _OBJECTS.get(verb) and _OBJECT.match(after) else ""
     # "Arrives at the gate".
     way = _NOT_LEARNED.sub(r"\1", _AT.sub(r"\1 to", after) if verb in _ARRIVES else after)
-    read = {found[0]: said} if is_gait and said != found[0] else {}
     return f"{text[: found.start()]}{said}{forward}{into}{way}", read
+
+
+def _known_gait(word: str, verb: str, known: Collection[str]) -> tuple[str, dict[str, str]]:
+    """Returns a gait of captions in the form of a word, and whether it was another gait; `verb` is its basic form."""
+    is_gait = verb in _WALKS | _RUNS
+    said = word if is_gait and verb in known else _in_form_of(word, "run" if verb in _RUNS else "walk")
+    return said, {word: said} if is_gait and said != word else {}
 
 
 def _travel_verb(word: str, before: str, after: str) -> str:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from t2m_jax.text.clauses import fill_in, name_part, only_ends
 from t2m_jax.text.coverage import has_action
-from t2m_jax.text.directions import find_turn, goes_somewhere
+from t2m_jax.text.directions import find_turn, goes_somewhere, only_turns_to_side
 from t2m_jax.text.verbs import BODY_PARTS, DETERMINERS, SIDES, bases_of, form_of, forms, readings, word_set, words_of
 
 _PERSON = r"(?:he|she|it|they|you|somebody|someone)"
@@ -110,8 +110,8 @@ def split_sequence(caption: str, known: Collection[str]) -> tuple[str, ...]:
     It is cut at words such as `then`, `before`, `after` and `followed by`, in a list of verbs, and at an "and" beside a
     way to a place, a turn or another posture ("walks in and waves"), if there is an action on both sides: "runs after
     the bus" is one action, and so are walking around a corner and raising a hand and lowering it. What only names
-    another side is filled in: "waves with the left hand, then the right" is two waves. Other sentences are returned
-    whole, also those with `not`.
+    another side is filled in: "waves with the left hand, then the right" is two waves. A turn to a side before or after
+    another action is on the spot. Other sentences are returned whole, also those with `not`.
 
     Args:
         caption: A checked sentence.
@@ -120,7 +120,9 @@ def split_sequence(caption: str, known: Collection[str]) -> tuple[str, ...]:
     if not known:
         return (caption,)
     actions = _with_corners(_split(caption, lambda text: has_action(words_of(text), known)), known)
-    return tuple(actions) if 1 < len(actions) <= MAX_ACTIONS else (caption,)
+    if not 1 < len(actions) <= MAX_ACTIONS:
+        return (caption,)
+    return tuple(f"{action} on the spot" if only_turns_to_side(action) else action for action in actions)
 
 
 def _split(text: str, is_known: Callable[[str], bool]) -> Iterator[str]:

@@ -33,6 +33,8 @@ BODY_PARTS = word_set(
     """ankle arm back chest chin elbow eye face finger foot hand head heel hip knee leg mouth shoulder thigh toe
     waist wrist"""
 )
+BODY = BODY_PARTS | word_set("body fist gaze hip neck palm spine thumb torso trunk")
+"""With those that only move as a part of a motion."""
 SIDES = frozenset({"left", "right"})
 """Words that are sides in captions, never forms of `leave` or `right`."""
 AUXILIARIES = word_set("am is are was were be been being has have had does did")

@@ -46,6 +46,7 @@ def test_who_goes_somewhere_goes_forward(sentence, read):
         ("a bear lumbers across the glade", "a bear walks forward across the glade", {"lumbers": "walks"}),
         ("skedaddling out of the barn", "running forward out of the barn", {"skedaddling": "running"}),
         ("he staggers along the quay", "he staggers forward along the quay", {}),
+        ("someone ambles to the left", "someone walks forward and turns to the left", {"ambles": "walks"}),
     ],
 )
 def test_a_gait_that_no_caption_has_is_read_as_another(sentence, read, gaits):
@@ -93,12 +94,64 @@ def test_who_turns_around_does_so_on_the_spot(sentence, read):
 
 
 @pytest.mark.parametrize(
+    ("sentence", "read"),
+    [
+        ("a person turns left", "a person walks forward and turns left"),
+        ("Turn right!", "walk forward and turn right!"),
+        ("the guests are turning to the right", "the guests are walking forward and turning to the right"),
+        ("she slowly turned to her left side", "she slowly walked forward and turned to her left side"),
+        ("a human makes a sharp left turn", "a human walks forward and makes a sharp left turn"),
+        ("the guy took a right", "the guy walked forward and took a right"),
+        ("the pilot starts to turn left a bit", "the pilot starts to walk forward and turn left a bit"),
+        ("A leisurely turn to the left.", "a person walks forward and makes a leisurely turn to the left."),
+        ("left turn", "a person walks forward and makes a left turn"),
+        ("a boy veers off to the right", "a boy walks forward and veers off to the right"),
+        ("someone goes right slowly", "someone walks forward and turns right slowly"),
+        ("he is walking to the left", "he is walking forward and turning to the left"),
+        ("she runs right", "she runs forward and turns right"),
+    ],
+)
+def test_who_only_turns_or_goes_to_a_side_walks_around_a_corner(sentence, read):
+    assert with_directions(sentence, KNOWN) == (read, {})
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "a person turns left on the spot",
+        "stands there and turns left",
+        "the seated man turns right",
+        "does not turn left",
+        "turns left and waves",
+        "turns by 90 degrees to the left",
+        "a half turn to the left",
+        "he makes a u-turn to the left",
+        "she does a full turn to the right",
+        "rotates to the left",
+        "his head turns left",
+        "turns the key to the right",
+        "the wheel turns right",
+        "steps to the left",
+        "looks left",
+        "sideways walking to the left",
+        "walks diagonally to the right",
+        "takes right off",
+        "the person on the left",
+        "the left arm goes right",
+    ],
+)
+def test_other_turns_to_a_side_are_no_walk(sentence):
+    assert with_directions(sentence, KNOWN) == (sentence, {})
+
+
+@pytest.mark.parametrize(
     "sentence",
     [
         "turns around the corner",
         "the captain turns the wheel around",
         "he turns around and around",
         "turns around to the left",
+        "turns by a hundred and eighty degrees leftwards",
         "she turns around clockwise",
         "turns around three times",
         "a person walks on without turning around",

@@ -139,6 +139,8 @@ def is_same(part, expected):
         ("walk over, turn around and sit down", ("walk over", "turn around", "sit down")),
         ("she gets to her feet, and she waves", ("she gets to her feet", "waves")),
         ("he jumps and sits down", ("he jumps", "sits down")),
+        ("she turns left and bows", ("she turns left on the spot", "bows")),
+        ("claps, then turns to the right, then waves", ("claps", "turns to the right on the spot", "waves")),
         ("walks and waves and bows", ("walks and waves", "bows")),
         ("a person walks.A person waves.", ("a person walks", "A person waves")),
         ("walk...then wave", ("walk", "wave")),
