@@ -11,7 +11,7 @@ import numpy as np
 
 from t2m_jax.data.banks.captions import all_tokens
 from t2m_jax.data.captioning.wordings import load_wordings
-from t2m_jax.data.folder import Clip, Dataset
+from t2m_jax.data.folder import Clip, Dataset, samples_from_clip
 from t2m_jax.data.index import action_of, label_actions, load_index
 from t2m_jax.files.writing import save_json
 from t2m_jax.text.coverage import MIN_LABELS, count_actions
@@ -42,7 +42,7 @@ class TrainingData:
     missing: tuple[str, ...]
     """The same for other actions that captions can say, of which there is no clip."""
     shortest_frames: int
-    """Nearly all clips are at least so long: all but 1 %. Generated motion is, too."""
+    """Nearly all clips and parts with own captions are at least so long: all but 1 %. Generated motion is, too."""
     captions: tuple[str, ...]
     """Some of the captions, one each of `NUM_CAPTIONS` clips, which `t2m data replay` generates again."""
 
@@ -51,7 +51,9 @@ def summarize_training_data(dataset: Dataset, clips: Sequence[Clip]) -> Training
     """Returns the record of some clips of a data set. The most frequent actions and words come first."""
     index = load_index(dataset.folder)
     labels = Counter(_action(label) for clip in clips if index and (label := index.label(clip.name)))
-    lengths = [len(clip.features) for clip in clips]
+    # Of parts that captions with times are about, too. Without captions, as tokenizers read them, whole clips count.
+    samples = [sample for clip in clips for sample in samples_from_clip(clip, dataset.info)]
+    lengths = [len(sample.features) for sample in samples or clips]
     actions = [_single_action(index.label(clip.name) or "") for clip in clips] if index else []
     learned, missing = _plain_sentences(set(actions))
     words = Counter(token.partition("/")[0].lower() for tokens in all_tokens(clips) for token in tokens)

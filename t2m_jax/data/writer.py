@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from t2m_jax.config import save_config
+from t2m_jax.data.captioning.lexicon import tag_words
 from t2m_jax.data.files import FEATURES, INFO, MIRROR_PREFIX, POSITIONS, SPLITS, TEXTS
 from t2m_jax.data.folder import DatasetInfo
 from t2m_jax.data.texts import Caption, save_captions
@@ -108,8 +109,12 @@ def write_twins(
 
 def mirror(caption: Caption) -> Caption:
     """Returns the caption of the mirrored motion: left and right are exchanged in text and tokens."""
-    tokens = tuple(mirror_caption(token) for token in caption.tokens)
-    return caption._replace(text=mirror_caption(caption.text), tokens=tokens)
+    text = mirror_caption(caption.text)
+    if caption.tokens == tag_words(caption.text):
+        return caption._replace(text=text, tokens=tag_words(text))
+    # Tokens of another tagger, word by word: "left/VERB the/DET stage/NOUN" has no side if its text has none.
+    tokens = caption.tokens if text == caption.text else tuple(map(mirror_caption, caption.tokens))
+    return caption._replace(text=text, tokens=tokens)
 
 
 def with_twins(names: Sequence[str]) -> list[str]:

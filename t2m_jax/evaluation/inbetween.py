@@ -66,9 +66,14 @@ def evaluate_inbetween(
     check_seed(seed)
     check_feature_dim(dataset, model.config.tokenizer.feature_dim, reader="the model")
     least = round((seconds + 2 * AROUND_SECONDS) * dataset.skeleton.fps)
-    clips = [clip for clip in dataset.clips(split, min_frames=least) if clip.captions]
+    clips = [
+        clip._replace(captions=whole)
+        for clip in dataset.clips(split, min_frames=least)
+        # Captions with times may be about other frames than the gap.
+        if (whole := tuple(caption for caption in clip.captions if caption.whole_clip))
+    ]
     if not clips:
-        raise UserError(f"{dataset.folder}: split {split} has no clip of {least} frames with a caption")
+        raise UserError(f"{dataset.folder}: split {split} has no clip of {least} frames with a caption of all of it")
     # The same clips for every model, so that their figures can be compared.
     order = np.random.default_rng(seed).permutation(len(clips))[:num_clips]
     found = []

@@ -72,7 +72,7 @@ def _rotations(path: Path, archive: Mapping[str, np.ndarray]) -> Float[np.ndarra
     parts = [_numbers(path, archive, name) for name in names]
     # Joints of hands and face follow those of the body, in numbers that depend on the model.
     width = 3 * HUMANML3D.num_joints
-    if all(part.size and part.shape[2:] in ((), (3,)) and len(part) == len(parts[0]) for part in parts):
+    if all(part.ndim and part.size and part.shape[2:] in ((), (3,)) and len(part) == len(parts[0]) for part in parts):
         poses = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
         if poses.shape[1] >= width:
             return poses

@@ -12,6 +12,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text
 from t2m_jax.motion.resampling import MAX_FPS
 from t2m_jax.motion.rig.clip import MAX_JOINTS, MAX_VALUE, RigClip
+from t2m_jax.motion.rig.recognition import in_human_size
 from t2m_jax.motion.rotations import EulerOrder, matrix_from_euler
 
 AMC_FPS = 120.0
@@ -52,6 +53,9 @@ class _Skeleton(NamedTuple):
 def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
     """Returns the clip of an AMC file. Joint j of the clip is the beginning of bone j.
 
+    The ASF file says the unit. If no person can have this size, as in files whose lengths are centimeters, the bones
+    tell another unit, and `notes` say which.
+
     Args:
         path: The motion. Its skeleton is the only ASF file in the folder, or `02.asf` for `02_01.amc`.
         fps: Frames per second, which the files do not say.
@@ -78,7 +82,7 @@ def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
         translations[:, joint] += move
     # Bones without children end in the air, where other formats have an End Site.
     ends = [joint for joint in range(len(names)) if joint not in parents]
-    return RigClip(
+    clip = RigClip(
         joint_names=names,
         parents=parents,
         offsets=offsets,
@@ -89,6 +93,7 @@ def load_amc(path: Path | str, *, fps: float = AMC_FPS) -> RigClip:
         end_sites={joint: figure.bones[names[joint]].offset.astype(np.float32) for joint in ends},
         notes=(f"AMC files do not say their rate; {fps:g} frames per second were assumed",),
     )
+    return in_human_size(clip)
 
 
 def find_skeleton(path: Path) -> Path:

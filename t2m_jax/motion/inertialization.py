@@ -112,11 +112,13 @@ def follow_on(clip: Clip, before: Moment, own: Moment, *, count: int, skeleton: 
         clip: Frames after the join.
         before: Last frame of the motion before the join.
         own: The frame in its place that leads to the clip.
-        count: Frames until the clip is as it was.
+        count: Frames until the clip is as it was; with 0, all of it stays.
         skeleton: Of both.
     """
     from scipy.spatial.transform import Rotation  # here, because it takes long to import
 
+    if count == 0:
+        return clip
     changed = clip[:count].astype(np.float64)
     bones = bone_vectors(changed, skeleton)
     change = pose_change(own.pose, before.pose, skeleton)

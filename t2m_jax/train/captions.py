@@ -23,9 +23,10 @@ from t2m_jax.checkpoints.text_encoder import (
 )
 from t2m_jax.data.banks.codes import Captions
 from t2m_jax.data.cache import STATES_NAME, cache_places
+from t2m_jax.errors import UserError
 from t2m_jax.models.caption_encoder import StateEncoderConfig
 from t2m_jax.sampling.text_encoders import PretrainedTextEncoder, SentenceStates, make_text_encoder
-from t2m_jax.text.bpe import load_bpe, tokenize_captions, train_bpe
+from t2m_jax.text.bpe import largest_token, load_bpe, tokenize_captions, train_bpe
 from t2m_jax.text.caption_states import open_state_table
 from t2m_jax.text.embedding_cache import EmbeddingCache
 from t2m_jax.text.encoder import TextEncoder
@@ -123,6 +124,9 @@ def make_caption_reader(
     sizes = config.caption_encoder
     # Tokens are rows of a trained table: a model that goes on must read the same subwords.
     bpe = load_bpe(config.run) if resume else None if config.init is None else load_model(config.init).bpe
+    if bpe is not None and (count := largest_token(bpe) + 1) > sizes.vocabulary_size:
+        field = f"caption_encoder.vocabulary_size: {sizes.vocabulary_size}"
+        raise UserError(f"{field} is less than the {count} subwords of {config.run if resume else config.init}")
     if bpe is None:
         captions = [caption.text for motion in motions for caption in motion.captions]
         bpe = train_bpe(captions, vocabulary_size=sizes.vocabulary_size)

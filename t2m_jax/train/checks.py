@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -223,6 +223,21 @@ def fitting_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
         raise UserError(f"init: no array of {source} has a name and a shape of this config")
     logger.info("%d of %d arrays start from %s, the others at random", len(fitting), len(merged), source)
     return traverse_util.unflatten_dict(merged | fitting, sep="/")
+
+
+def check_same_function(source: Path, given: Any, config: Any, fields: Iterable[str]) -> None:
+    """Raises `UserError` if the weights of a part would compute something else with another config.
+
+    Args:
+        source: What training starts from (`init`).
+        given: The config of its part.
+        config: That of the run's part.
+        fields: Names of fields that no array shows by its shape; one that a config lacks does not count.
+    """
+    for name in fields:
+        own, wanted = getattr(given, name, None), getattr(config, name, None)
+        if own != wanted:
+            raise UserError(f"init: {source} has {name} {own!r}, not {wanted!r} as in the config")
 
 
 def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:

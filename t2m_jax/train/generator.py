@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, Bundle, BundleConfig, part_kinds
 from t2m_jax.checkpoints.model import load_model
+from t2m_jax.checkpoints.text_encoder import trained_network
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
@@ -30,7 +31,7 @@ from t2m_jax.text.bpe import save_bpe
 from t2m_jax.text.caption_states import CaptionStates
 from t2m_jax.train import tokenize
 from t2m_jax.train.captions import CaptionReader, make_caption_reader, open_text_encoder, state_width
-from t2m_jax.train.checks import open_data
+from t2m_jax.train.checks import check_same_function, open_data
 from t2m_jax.train.config import InitParts, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
@@ -191,7 +192,7 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
         weights=weights_of,
         write_parts=write_parts,
-        start_from=lambda path: start_from_model(path, tokenizer, parts=config.init_parts),
+        start_from=lambda path: start_from_model(path, tokenizer, parts=config.init_parts, like=parts),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
         evaluation=make_evaluation(config, parts, tokenizer, reader),
         # The config counts what chooses the weights, and the loop updates.
@@ -200,14 +201,17 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
     )
 
 
-def start_from_model(path: Path, tokenizer: TrainedTokenizer, *, parts: InitParts = "all") -> Mapping[str, Any]:
+def start_from_model(
+    path: Path, tokenizer: TrainedTokenizer, *, parts: InitParts = "all", like: BundleConfig | None = None
+) -> Mapping[str, Any]:
     """Returns the weights to start from (`init`): of a model's generator and text encoder, by collection and kind.
 
     The tokenizer may have another decoder than that of the model, because codes do not depend on it. With `fitting`
     parts it may be any, and a codebook that the generator reads is not among the collections.
 
     Raises:
-        UserError: There is none, or its codes mean something else because it has another tokenizer.
+        UserError: There is none, its codes mean something else because it has another tokenizer, or all of its weights
+            would compute something else in a model with the config `like`.
     """
     model = load_model(path)
     codes = model.config.tokenizer.num_quantizers
@@ -223,6 +227,10 @@ def start_from_model(path: Path, tokenizer: TrainedTokenizer, *, parts: InitPart
             f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`, or take the weights "
             "that fit with `--init-parts fitting`"
         )
+    if like is not None and parts == "all":
+        check_same_function(path, model.config.generator, like.generator, ("num_heads", "cumulative_depth"))
+        networks = [trained_network(one.text_encoder) for one in (model.config, like)]
+        check_same_function(path, networks[0], networks[1], ("num_heads",))
     weights: dict[str, Any] = {}
     for role, kind in part_kinds(model.config).items():
         # A state has its parts by collection first, a model by role first.

@@ -47,7 +47,7 @@ class Lesson(NamedTuple):
 
 
 def load_lessons(path: Path) -> tuple[tuple[Lesson, ...], tuple[Lesson, ...]]:
-    """Returns the lessons of a YAML file, and those that are held out.
+    """Returns the lessons of a YAML file, and those that are held out, of which none is taught.
 
     The file has lists of sentences by a sentence that the model understands. What names a side is also a lesson for the
     other side.
@@ -68,6 +68,8 @@ def load_lessons(path: Path) -> tuple[tuple[Lesson, ...], tuple[Lesson, ...]]:
                     if known != one.meaning:
                         raise UserError(f"{one.sentence!r} is under {known!r} and under {one.meaning!r}")
                     group.append(one)
+        held = {one.sentence.lower() for one in held_out}
+        taught = [one for one in taught if one.sentence.lower() not in held]
         if not taught:
             raise UserError("has no sentences; give lists of new sentences by one that the model understands")
     return tuple(dict.fromkeys(taught)), tuple(dict.fromkeys(held_out))

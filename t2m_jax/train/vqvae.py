@@ -13,16 +13,17 @@ from jaxtyping import Array, Float, Int, Key
 
 from t2m_jax import losses
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, save_tokenizer_parts
+from t2m_jax.config import flat_fields
 from t2m_jax.data.banks.motions import MotionBank, Windows, batch_at, cuts_at, make_bank
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.sources import CodeSource, Reconstruction
 from t2m_jax.metrics.codes import code_usage, perplexity
 from t2m_jax.models.rows import in_precision
-from t2m_jax.models.vqvae import DECODER_PARTS, VqVae, VqVaeOutput
+from t2m_jax.models.vqvae import DECODER_PARTS, VqVae, VqVaeConfig, VqVaeOutput
 from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.motion.skeleton import skeleton_from_feature_dim
-from t2m_jax.train.checks import open_training_data
+from t2m_jax.train.checks import check_same_function, open_training_data
 from t2m_jax.train.config import compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.log import by_depth
@@ -189,7 +190,7 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
     """
     dataset, normalizer = open_training_data(config, reader="the VQ-VAE", resume=resume)
     if config.trained == "decoder" and not resume:
-        _check_codes_stay(config.init, normalizer)
+        _check_codes_stay(config.init, config.model, normalizer)
     compiled = compiled_config(config)
     is_padded = config.short_clips == "pad"
     # The original takes every clip that is as long as a window, also those that its other stages find too short.
@@ -210,16 +211,25 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
         frames_per_step=config.loop.batch_size * config.window,
         weights=lambda state: state.variables,
         write_parts=lambda run: save_tokenizer_parts(run, config.model, normalizer),
-        start_from=lambda path: {"codebook": {}, "batch_stats": {}} | load_tokenizer(path).variables,
+        start_from=lambda path: _weights_to_start_from(path, config),
         validation=make_validation(config, dataset, normalizer),
         evaluation=Evaluation(config.evaluation, config.model.downsample, source),
     )
 
 
-def _check_codes_stay(init: Path | None, normalizer: Normalizer) -> None:
+def _weights_to_start_from(path: Path, config: TrainVqVaeConfig) -> dict[str, Any]:
+    tokenizer = load_tokenizer(path)
+    if config.init_parts == "all":
+        check_same_function(path, tokenizer.config, config.model, ("activation", "dilation_growth", "norm"))
+    return {"codebook": {}, "batch_stats": {}} | tokenizer.variables
+
+
+def _check_codes_stay(init: Path | None, config: VqVaeConfig, normalizer: Normalizer) -> None:
     if init is None:
         raise UserError("trained: a decoder alone needs `init`, the tokenizer whose codes it reads")
-    if not all(np.array_equal(*pair) for pair in zip(normalizer, load_tokenizer(init).normalizer, strict=True)):
+    tokenizer = load_tokenizer(init)
+    check_same_function(init, tokenizer.config, config, flat_fields(config))
+    if not all(np.array_equal(*pair) for pair in zip(normalizer, tokenizer.normalizer, strict=True)):
         raise UserError(f"statistics: those of {init} are others, so codes would change; set it to `init`")
 
 

@@ -120,6 +120,27 @@ def test_a_quote_that_goes_on_in_the_next_line_is_a_problem(tmp_path):
     assert any(":2: a quote is not closed" in problem for problem in problems)
 
 
+@pytest.mark.parametrize("column", ["height from floor", "distance to goal", "angle at start", "stop word"])
+def test_a_column_about_something_else_is_no_time(tmp_path, column):
+    path = tmp_path / "captions.csv"
+    path.write_text(f"file,caption,{column}\na,{WALK},1.5\n")
+    table = load_caption_table(path)
+    assert table.columns == (column,) and not table.notes
+    assert table.entries["a"][0].span == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("start", "end"),
+    [("Start (s)", "End (s)"), ("from", "to"), ("clip_begin", "clip_end"), ("start time", "stop time")],
+)
+def test_names_of_times_are_noted(tmp_path, start, end):
+    path = tmp_path / "captions.csv"
+    path.write_text(f"file,caption,{start},{end}\na,{WALK},0.5,1.5\n")
+    table = load_caption_table(path)
+    assert table.entries["a"][0].span == (0.5, 1.5)
+    assert any(note.endswith(f"times from {start!r}, {end!r}") for note in table.notes)
+
+
 def test_what_was_guessed_is_noted(tmp_path):
     _, _, notes = read(tmp_path, f"clip,text\na,{WALK}\nb,{TURN}\n")
     assert any("read from 'text'" in note for note in notes)

@@ -58,6 +58,12 @@ def test_all_but_the_shortest_clips_say_how_long_motions_are(tmp_path):
     assert summarize_training_data(dataset_in(tmp_path), clips[:50]).shortest_frames == 17
 
 
+def test_parts_with_captions_of_their_own_say_how_long_motions_are(tmp_path):
+    captions = (Caption("he walks", (), 0.0, 3.0), Caption("he waves", (), 3.0, 8.0))
+    clips = [Clip(f"{number}", np.zeros((160, 263), np.float32), captions) for number in range(4)]
+    assert summarize_training_data(dataset_in(tmp_path), clips).shortest_frames == 60
+
+
 def test_without_labels_no_action_is_counted(tmp_path):
     found = summarize_training_data(dataset_in(tmp_path), [clip("a", Caption("walk"))])
     assert found.clips_per_action == {} and found.words == {"walk": 1}

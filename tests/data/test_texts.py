@@ -2,7 +2,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from t2m_jax.data.captioning.lexicon import tag_words
 from t2m_jax.data.texts import Caption, format_caption, load_captions, parse_caption, save_captions
+from t2m_jax.data.writer import mirror
 from t2m_jax.errors import UserError
 
 LINE = "a man waves.#a/DET man/NOUN wave/VERB#0.0#0.0"
@@ -13,6 +15,26 @@ def test_parse_a_humanml3d_line():
     assert caption == Caption("a man waves.", ("a/DET", "man/NOUN", "wave/VERB"), 0.0, 0.0)
     assert caption.whole_clip
     assert format_caption(caption) == LINE
+
+
+@pytest.mark.parametrize(
+    ("said", "mirrored"),
+    [
+        ("he waves with his R hand", "he waves with his L hand"),
+        ("she turns counter clockwise", "she turns clockwise"),
+        ("he left the stage", "he left the stage"),
+        ("waves right away with the left hand", "waves right away with the right hand"),
+    ],
+)
+def test_tokens_of_a_mirrored_caption_say_what_its_text_says(said, mirrored):
+    assert mirror(Caption(said, tag_words(said))) == Caption(mirrored, tag_words(mirrored))
+
+
+def test_tokens_of_other_taggers_keep_their_tags():
+    tokens = ("he/PRON", "raise/VERB", "left/OTHER", "arm/NOUN")
+    assert mirror(Caption("he raises left arm", tokens)).tokens == (*tokens[:2], "right/OTHER", tokens[3])
+    leaving = Caption("he left the stage", ("he/PRON", "left/OTHER", "the/DET", "stage/NOUN"))
+    assert mirror(leaving) == leaving
 
 
 def test_nan_times_read_as_zero():

@@ -8,6 +8,7 @@ import pytest
 from t2m_jax import Motion
 from t2m_jax.data import open_dataset
 from t2m_jax.data.importers.synthetic import make_motion, write_synthetic_dataset
+from t2m_jax.data.texts import Caption, save_captions
 from t2m_jax.errors import UserError
 from t2m_jax.evaluation.inbetween import evaluate_inbetween, gap_figures, interpolate_gap
 from t2m_jax.motion.features import bone_vectors
@@ -59,6 +60,21 @@ def test_an_interpolation_keeps_bones_and_hardly_accelerates(positions):
     real = gap_figures(positions, positions, 30, 50, fps=20.0)
     assert real.acceleration_error == 0 and figures.acceleration < 0.3 * real.acceleration
     np.testing.assert_allclose(figures.acceleration_error, real.acceleration - figures.acceleration)
+
+
+def test_what_is_asked_for_is_about_the_whole_clip(model, tmp_path, monkeypatch):
+    write_synthetic_dataset(tmp_path, num_clips=20, seed=6)
+    for path in (tmp_path / "texts").iterdir():
+        save_captions(path, [Caption("sits down at the end", (), 2.0, 2.5), Caption("walks on")])
+    said = []
+
+    def redo(motion, span, caption, **_):
+        said.append(caption)
+        return [dataclasses.replace(motion, part_starts=(0, 20, 28), part_captions=("a", "b", "a"))]
+
+    monkeypatch.setattr(model, "redo", redo)
+    evaluate_inbetween(model, open_dataset(tmp_path), split="train", seconds=0.4, num_clips=2)
+    assert said == ["walks on"] * 2
 
 
 @pytest.mark.filterwarnings("ignore::t2m_jax.text.coverage.PromptWarning")

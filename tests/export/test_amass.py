@@ -138,6 +138,7 @@ def test_other_layouts_of_rotations_are_read(tmp_path, file, layout):
     ("change", "message"),
     [
         ({"poses": np.zeros((30, 63))}, r"entry 'poses' has shape \[30, 63\]; it needs \[frames, 66 or more\]"),
+        ({"poses": np.array(1.0)}, r"entry 'poses' has shape \[\]; it needs"),
         ({"poses": np.zeros((0, 156))}, r"entry 'poses' has shape \[0, 156\]"),
         ({"poses": np.full((30, 156), np.nan)}, "entry 'poses' has other values than finite numbers"),
         ({"trans": np.zeros((29, 3))}, r"entry 'trans' has shape \[29, 3\]; it needs \[30, 3\]"),

@@ -41,6 +41,17 @@ def test_real_recordings_stand_on_the_floor_and_left_is_left(shared_data):
         assert 0.8 < np.ptp(motion.positions[0, :, 1]) < 1.9
 
 
+def test_a_skeleton_in_another_unit_has_the_size_of_a_person(shared_data, tmp_path):
+    path = sorted(shared_data("cmu-asfamc-sample").rglob("*.amc"))[0]
+    (tmp_path / "a.amc").write_bytes(path.read_bytes())
+    expected = load_amc(path)
+    for length in ("0.001", "10"):  # half a kilometer, and a doll of 7 cm
+        (tmp_path / "a.asf").write_text(find_skeleton(path).read_text().replace("length 0.45", f"length {length}"))
+        clip = load_amc(tmp_path / "a.amc")
+        np.testing.assert_allclose(clip.translations, expected.translations, rtol=1e-4, atol=1e-5)
+        assert clip.notes == (*expected.notes, "lengths are taken as units of CMU's skeletons (5.64 cm)")
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

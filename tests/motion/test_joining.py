@@ -6,6 +6,7 @@ from t2m_jax.motion.features import bone_vectors, features_from_positions, posit
 from t2m_jax.motion.inverse_kinematics import fit_rig
 from t2m_jax.motion.joining import OVERLAP, Cut, ease_seams, fade_features, find_cut, join_features, replace_middle
 from t2m_jax.motion.kinematics import forward_kinematics
+from t2m_jax.motion.motion import Motion
 from t2m_jax.motion.rotations import unit_vectors
 from t2m_jax.motion.skeleton import HUMANML3D
 from t2m_jax.motion.torso import hub_bones
@@ -22,6 +23,13 @@ def test_a_clip_continues_itself():
     whole = features(81)
     joined = join_features(whole[:50], whole[50 - OVERLAP :], Cut(50, 0, 0.0))
     np.testing.assert_allclose(joined, whole, atol=1e-6)
+
+
+@pytest.mark.parametrize("fps", [0.5, 2.0, 2.5])
+def test_motions_of_few_frames_a_second_are_joined(fps):
+    """A fade would take less than a frame."""
+    motion = Motion(walking_positions(40)[::5], fps)
+    assert np.isfinite((motion + motion).positions).all()
 
 
 def test_the_cut_is_where_the_poses_are_alike():

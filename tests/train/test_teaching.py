@@ -75,6 +75,20 @@ def test_every_tenth_sentence_of_a_meaning_is_held_out(tmp_path):
     assert not {lesson.sentence for lesson in lessons} & {lesson.sentence for lesson in held_out}
 
 
+def test_what_is_held_out_is_not_taught_for_the_other_side(tmp_path):
+    """Both lists have the same sentences in another order, and each is also a lesson for the other side."""
+    sides = {"left": range(HELD_OUT_EVERY), "right": reversed(range(HELD_OUT_EVERY))}
+    lists = [
+        f"a person waves with the {side} hand:\n" + "".join(f"  - number {number}, {side}\n" for number in numbers)
+        for side, numbers in sides.items()
+    ]
+    lessons, held_out = load_lessons(write(tmp_path, "".join(lists)))
+    assert {lesson.sentence for lesson in held_out} == {
+        f"number {number}, {side}" for number in (0, HELD_OUT_EVERY - 1) for side in sides
+    }
+    assert not {lesson.sentence for lesson in lessons} & {lesson.sentence for lesson in held_out}
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -79,12 +79,39 @@ def test_a_decoder_alone_needs_its_tokenizer_and_its_statistics(runs, tmp_path):
     config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), trained="decoder")
     with pytest.raises(UserError, match="a decoder alone needs `init`"):
         train(config)
+    with pytest.raises(UserError, match=r"init: .* has activation 'relu', not 'gelu' as in the config"):
+        train(dataclasses.replace(config, init=runs.vqvae, model=dataclasses.replace(VQVAE, activation="gelu")))
     normalizer = load_tokenizer(runs.vqvae).normalizer
     save_normalizer(tmp_path, normalizer._replace(std=1.01 * normalizer.std))
     with pytest.raises(UserError, match=r"statistics: .* set it to `init`"):
         train(dataclasses.replace(config, init=runs.vqvae, statistics=f"{tmp_path}"))
     with pytest.raises(ValueError, match="batch norm"):
         dataclasses.replace(config, model=dataclasses.replace(VQVAE, norm="BN"))
+
+
+@pytest.mark.slow
+def test_weights_that_would_compute_something_else_are_refused(runs, tmp_path):
+    """The shapes of their arrays are the same."""
+    gpt, vqvae = gpt_training(runs.data, runs.vqvae, tmp_path / "gpt"), vqvae_training(runs.data, tmp_path / "vqvae")
+    heads = dataclasses.replace(gpt.model, num_heads=2 * gpt.model.num_heads)
+    network = dataclasses.replace(gpt.caption_encoder, num_heads=2 * gpt.caption_encoder.num_heads)
+    for config, name in (
+        (dataclasses.replace(gpt, init=runs.gpt, model=heads), "num_heads"),
+        (dataclasses.replace(gpt, init=runs.gpt, caption_encoder=network), "num_heads"),
+        (dataclasses.replace(vqvae, init=runs.vqvae, model=dataclasses.replace(VQVAE, dilation_growth=2)), "dilation"),
+    ):
+        with pytest.raises(UserError, match=rf"init: .* has {name}.*, not .* as in the config"):
+            train(config)
+        assert not config.run.exists()
+
+
+@pytest.mark.slow
+def test_more_subwords_than_the_config_has_room_for_are_refused(runs, tmp_path):
+    config = gpt_training(runs.data, runs.vqvae, tmp_path / "run")
+    few = dataclasses.replace(config.caption_encoder, vocabulary_size=config.caption_encoder.vocabulary_size // 2)
+    config = dataclasses.replace(config, init=runs.gpt, init_parts="fitting", caption_encoder=few)
+    with pytest.raises(UserError, match=r"caption_encoder.vocabulary_size: \d+ is less than the \d+ subwords of"):
+        train(config)
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from t2m_jax.data.importers.plain_captions import tagged_caption
 from t2m_jax.data.texts import Caption
 from t2m_jax.errors import UserError
 from t2m_jax.files.reading import load_text
+from t2m_jax.text.verbs import word_set
 
 MAX_COLUMNS = 1000
 """Most columns of a table; a spreadsheet of captions has some tens."""
@@ -28,7 +29,7 @@ NAMES = {
     "end": ("end", "to", "stop", "finish", "until"),
     "file": ("file", "filename", "path", "filepath", "bvh", "clip", "motion", "take", "name", "id"),
 }
-"""Names of columns by what is in them, the best ones first. One word of several is enough: `Clip name`, `Start (s)`."""
+"""Names of columns by what is in them, the best ones first. One word of several is enough: `Clip name`."""
 ACTION = "action"
 PERSON = "person"
 SPLIT = "split"
@@ -41,6 +42,8 @@ LENGTHS = frozenset({"duration", "length", "dur", "len"})
 """Words in the name of a column that says how long a caption holds."""
 NOT_SECONDS = frozenset({"frame", "frames", "ms", "msec", "milliseconds"})
 """Words in the name of a column of times that are not seconds."""
+_ABOUT_TIMES = NOT_SECONDS | word_set("at clip caption in motion part s sec seconds second segment t text time times")
+"""Other words in the name of a column of times: `Start (s)`, `clip_end`, but not `height from floor`."""
 _CAMEL_CASE = re.compile(r"(?<=[a-z])(?=[A-Z])")
 MOTION_SUFFIXES = re.compile(r"\.(bvh|glb|amc|fbx|npy|npz|c3d)(?=$|/)", re.IGNORECASE)
 
@@ -226,8 +229,9 @@ def _read_header(path: Path, cells: Sequence[str], delimiter: str) -> _Layout | 
     lengths = [name for name in names if LENGTHS & {*name.split("_")}]
     if list(times) == ["start"] and lengths:
         raise UserError(f"{path}:1: {lengths[0]!r} is not read; write when a caption ends in a column `end`")
-    notes = (f"{path}: captions are read from {', '.join(repr(cells[place]) for place in captions)}",)
-    is_plain = [names[place] for place in captions] == ["caption"] and names[found["file"]] == "file"
+    said, told = (", ".join(repr(cells[place]) for place in places) for places in (captions, times.values()))
+    notes = (f"{path}: captions are read from {said}" + (f", times from {told}" if times else ""),)
+    is_plain = [names[place] for place in (found["file"], *captions, *times.values())] == ["file", "caption", *times]
     return _Layout(delimiter, True, found["file"], captions, times, others, len(cells), () if is_plain else notes)
 
 
@@ -238,10 +242,17 @@ def _find_columns(names: Sequence[str]) -> dict[str, int | None]:
         # In the order of the roles: `Clip caption` is a caption, and only what is left can be a file.
         free = {place: name for place, name in enumerate(names) if place not in found.values()}
         exact = [place for name in known for place, own in free.items() if own == name]
-        partly = [place for name in known for place, own in free.items() if name in own.split("_")]
+        # "From" and "to" say a time only beside words of times.
+        others = _ABOUT_TIMES if role in ("start", "end") else None
+        partly = [place for name in known for place, own in free.items() if _is_about(own.split("_"), name, others)]
         # Of times in seconds and in frames, those in seconds.
         found[role] = next(iter(sorted([*exact, *partly], key=lambda place: _is_not_seconds(names[place]))), None)
     return found
+
+
+def _is_about(words: Sequence[str], name: str, others: Collection[str] | None) -> bool:
+    """Returns whether a name of a column has the word, and beside it none but `others`; None are any."""
+    return name in words and (others is None or {*words} <= {name, *others})
 
 
 def _is_not_seconds(name: str) -> bool:

@@ -62,14 +62,14 @@ def measure_leg(
 
 
 def in_human_size(clip: RigClip) -> RigClip:
-    """Returns a clip whose lengths should be meters; a figure that no person can be is scaled, and `notes` say it."""
+    """Returns a clip in meters by its file. The unit of a figure that no person can be is guessed; `notes` say it."""
     # By the legs: hats, hair and weapons are above many figures, so their height says less.
     leg = measure_leg(clip.joint_names, clip.parents, np.median(clip.translations, axis=0), None)
     if leg == 0 or POSSIBLE_HEIGHTS[0] <= STATURE_PER_LEG * leg <= POSSIBLE_HEIGHTS[1]:
         return clip
-    unit, said = unit_from_leg(leg)
+    unit, said = unit_from_leg(leg / clip.metres_per_unit)
     said = said or f"lengths are taken as {COMMON_UNITS[unit]}"
-    return dataclasses.replace(clip.scaled(unit), notes=(*clip.notes, said))
+    return dataclasses.replace(clip.scaled(unit / clip.metres_per_unit), notes=(*clip.notes, said))
 
 
 def guess_table(clip: RigClip) -> dict[str, str]:
