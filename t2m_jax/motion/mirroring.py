@@ -13,7 +13,8 @@ _TURNS |= {"cw": "ccw", "ccw": "cw"}
 _SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
 _LETTER = r"[^\W\d_]"
 _NO_SIDE = (
-    r"right (?:away|here|now|there)|all right|"
+    # But "to the right here".
+    r"(?<!the )(?<!his )(?<!her )(?<!its )(?<!their )right (?:away|here|now|there)|right[-\s]angle[ds]?|all right|"
     r"(?:boy|girl|he|it|man|person|she|somebody|someone|they|who|woman) left (?:a|an|the|her|his|its|their)"
 )
 _WORD = re.compile(

@@ -57,6 +57,8 @@ def test_other_joints_are_refused():
         ("he turns counterclockwise", "he turns clockwise"),
         ("Counter-clockwise, then anti-clockwise", "Clockwise, then clockwise"),
         ("turn anticlockwise", "turn clockwise"),
+        ("steps to the right here, then to his left now", "steps to the left here, then to his right now"),
+        ("right now, a right-angled turn at a right angle", "right now, a right-angled turn at a right angle"),
         ("a/DET left/ADJ step/NOUN clockwise/ADV", "a/DET right/ADJ step/NOUN counterclockwise/ADV"),
         ("walks rightwards, leftmost first", "walks leftwards, rightmost first"),
         ("left_arm", "right_arm"),
