@@ -14,7 +14,7 @@ from t2m_jax.text import PromptWarning
 
 FOLDER = Path(str(importlib.resources.files("t2m_jax"))) / "bundles"
 FIRST_CODES = {
-    "demo": [18, 190, 125, 183, 424, 183, 424, 183],
+    "demo": [204, 204, 424, 211, 95, 27, 465, 117],
     "demo-free": [322, 495, 177, 271, 402, 177, 37, 213],
     "demo-t2m-gpt": [404, 89, 404, 338, 98, 389, 98, 98],
 }
