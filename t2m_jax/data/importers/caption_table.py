@@ -242,17 +242,12 @@ def _find_columns(names: Sequence[str]) -> dict[str, int | None]:
         # In the order of the roles: `Clip caption` is a caption, and only what is left can be a file.
         free = {place: name for place, name in enumerate(names) if place not in found.values()}
         exact = [place for name in known for place, own in free.items() if own == name]
-        # "From" and "to" say a time only beside words of times.
-        others = _ABOUT_TIMES if role in ("start", "end") else None
-        partly = [place for name in known for place, own in free.items() if _is_about(own.split("_"), name, others)]
+        partly = [place for name in known for place, own in free.items() if name in own.split("_")]
+        if role in ("start", "end"):
+            partly = [place for place in partly if {*free[place].split("_")} <= {*known, *_ABOUT_TIMES}]
         # Of times in seconds and in frames, those in seconds.
         found[role] = next(iter(sorted([*exact, *partly], key=lambda place: _is_not_seconds(names[place]))), None)
     return found
-
-
-def _is_about(words: Sequence[str], name: str, others: Collection[str] | None) -> bool:
-    """Returns whether a name of a column has the word, and beside it none but `others`; None are any."""
-    return name in words and (others is None or {*words} <= {name, *others})
 
 
 def _is_not_seconds(name: str) -> bool:
