@@ -225,14 +225,14 @@ def fitting_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
     return traverse_util.unflatten_dict(merged | fitting, sep="/")
 
 
-def check_same_function(source: Path, given: Any, config: Any, fields: Iterable[str]) -> None:
+def check_same_function(source: str, given: Any, config: Any, fields: Iterable[str]) -> None:
     """Raises `UserError` if the weights of a part would compute something else with another config.
 
     Args:
-        source: What training starts from (`init`).
-        given: The config of its part.
+        source: The part that training starts from, for the message.
+        given: Its config.
         config: That of the run's part.
-        fields: Names of fields that no array shows by its shape; one that a config lacks does not count.
+        fields: Names of fields that no array shows by its shape; those that neither config has do not count.
     """
     for name in fields:
         own, wanted = getattr(given, name, None), getattr(config, name, None)

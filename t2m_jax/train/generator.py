@@ -228,9 +228,10 @@ def start_from_model(
             "that fit with `--init-parts fitting`"
         )
     if like is not None and parts == "all":
-        check_same_function(path, model.config.generator, like.generator, ("num_heads", "cumulative_depth"))
+        fields = ("num_heads", "cumulative_depth")
+        check_same_function(f"the generator of {path}", model.config.generator, like.generator, fields)
         networks = [trained_network(one.text_encoder) for one in (model.config, like)]
-        check_same_function(path, networks[0], networks[1], ("num_heads",))
+        check_same_function(f"the text network of {path}", networks[0], networks[1], fields)
     weights: dict[str, Any] = {}
     for role, kind in part_kinds(model.config).items():
         # A state has its parts by collection first, a model by role first.

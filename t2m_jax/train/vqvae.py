@@ -220,7 +220,7 @@ def prepare(config: TrainVqVaeConfig, resume: bool) -> Setup:
 def _weights_to_start_from(path: Path, config: TrainVqVaeConfig) -> dict[str, Any]:
     tokenizer = load_tokenizer(path)
     if config.init_parts == "all":
-        check_same_function(path, tokenizer.config, config.model, ("activation", "dilation_growth", "norm"))
+        check_same_function(f"{path}", tokenizer.config, config.model, ("activation", "dilation_growth", "norm"))
     return {"codebook": {}, "batch_stats": {}} | tokenizer.variables
 
 
@@ -228,7 +228,7 @@ def _check_codes_stay(init: Path | None, config: VqVaeConfig, normalizer: Normal
     if init is None:
         raise UserError("trained: a decoder alone needs `init`, the tokenizer whose codes it reads")
     tokenizer = load_tokenizer(init)
-    check_same_function(init, tokenizer.config, config, flat_fields(config))
+    check_same_function(f"{init}", tokenizer.config, config, flat_fields(config))
     if not all(np.array_equal(*pair) for pair in zip(normalizer, tokenizer.normalizer, strict=True)):
         raise UserError(f"statistics: those of {init} are others, so codes would change; set it to `init`")
 

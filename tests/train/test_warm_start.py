@@ -95,12 +95,15 @@ def test_weights_that_would_compute_something_else_are_refused(runs, tmp_path):
     gpt, vqvae = gpt_training(runs.data, runs.vqvae, tmp_path / "gpt"), vqvae_training(runs.data, tmp_path / "vqvae")
     heads = dataclasses.replace(gpt.model, num_heads=2 * gpt.model.num_heads)
     network = dataclasses.replace(gpt.caption_encoder, num_heads=2 * gpt.caption_encoder.num_heads)
-    for config, name in (
-        (dataclasses.replace(gpt, init=runs.gpt, model=heads), "num_heads"),
-        (dataclasses.replace(gpt, init=runs.gpt, caption_encoder=network), "num_heads"),
-        (dataclasses.replace(vqvae, init=runs.vqvae, model=dataclasses.replace(VQVAE, dilation_growth=2)), "dilation"),
+    for config, says in (
+        (dataclasses.replace(gpt, init=runs.gpt, model=heads), "the generator of .* has num_heads"),
+        (dataclasses.replace(gpt, init=runs.gpt, caption_encoder=network), "the text network of .* has num_heads"),
+        (
+            dataclasses.replace(vqvae, init=runs.vqvae, model=dataclasses.replace(VQVAE, dilation_growth=2)),
+            ".* dilation",
+        ),
     ):
-        with pytest.raises(UserError, match=rf"init: .* has {name}.*, not .* as in the config"):
+        with pytest.raises(UserError, match=rf"init: {says}.*, not .* as in the config"):
             train(config)
         assert not config.run.exists()
 
