@@ -134,16 +134,17 @@ _CIRCLES = word_set("complete entire full half quarter whole")
 _KIND = rf"(?:(?!{'|'.join(_CIRCLES)})[a-z]+ )?"
 _A_CORNER = rf"(?:an?|the next) {_KIND}(?:(?:left|right)(?:[ -]hand)?(?: turn)?{_HOW}[.!]*|turn{_HOW} {_TO_SIDE})"
 _ONLY_TO_SIDE = pattern(
-    r"(?P<before>.*?)(?<![\w-])(?P<verb>(?:(?:do|execut|hang|hook|mak|perform|tak)\w*|did|hung|made|took)",
-    rf"(?= {_A_CORNER}$)|\w+(?=(?: off)?{_HOW} {_TO_SIDE}$))(?P<way>.*)",
+    rf"(?P<before>.*?)(?<![\w-])(?P<verb>\w+)(?P<way>(?: off)?{_HOW} {_TO_SIDE}| {_A_CORNER})",
 )
-_CORNER = pattern(rf"(?:an? )?(?P<turn>{_KIND}(?:left|right)[ -]turn[.!]*|(?<=[an] ){_KIND}turn{_HOW} {_TO_SIDE})")
-"""A sentence without a verb: "a slow turn to the left"."""
+_WITHOUT_VERB = pattern(
+    rf"(?:an? )?(?P<turn>{_KIND}(?:left|right)[ -]turn[.!]*|(?<=[an] ){_KIND}turn{_HOW} {_TO_SIDE})",
+)
+"""The same as a noun: "a slow turn to the left"."""
 _TURNS_OR_GOES = _WALKS | _RUNS | word_set("curve do execute go hang head hook make perform swerve take turn veer")
 """Verbs that say with a side that somebody turns, or goes to that side."""
 _STAYS = word_set("crouch kneel lie lay seat sit squat stand stay")
 _NO_SUBJECT = (_STAYS | _CIRCLES | BODY | CLAUSE_STARTS | PREPOSITIONS | THINGS) - BEFORE_BASE_FORM
-"""Words before a verb with which it is no walk: "the seated man turns left", "her head turns left"."""
+"""Words before the verb of who does not walk: "the seated man turns left", "her head turns left"."""
 _WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
 
 
@@ -168,7 +169,7 @@ def with_directions(prompt: str, known: Collection[str], actions: Collection[str
         verb = _in_form_of(turn[turn.lastgroup or 0], "turn")
         spot = "" if _ON_THE_SPOT.search(prompt) else " on the spot"
         return f"{prompt[: turn.start()]}{verb} around to the right{spot}{prompt[turn.end() :]}", {}
-    if (noun := _CORNER.fullmatch(prompt)) is not None:
+    if (noun := _WITHOUT_VERB.fullmatch(prompt)) is not None:
         return f"a person walks forward and makes a {noun['turn']}", {}
     corner = _find_corner(prompt)
     if corner is not None:
@@ -194,8 +195,8 @@ def find_turn(sentence: str) -> re.Match[str] | None:
 def only_turns_to_side(sentence: str) -> bool:
     """Returns whether all that a sentence says is that somebody turns to a side: "she slowly turns left"."""
     corner = _find_corner(sentence)
-    turns = corner is not None and _TRAVELS.isdisjoint(forms(corner["verb"].lower()))
-    return turns or _CORNER.fullmatch(sentence) is not None
+    turns = corner is not None and not _travel_base(corner["verb"].lower())
+    return turns or _WITHOUT_VERB.fullmatch(sentence) is not None
 
 
 def goes_somewhere(sentence: str, *, at_once: bool = False) -> bool:
@@ -221,7 +222,7 @@ def _find_corner(sentence: str) -> re.Match[str] | None:
 def _with_corner(found: re.Match[str], known: Collection[str]) -> tuple[str, dict[str, str]]:
     """Returns the sentence of `_find_corner` as a walk, and which gait was read as another."""
     verb = found["verb"].lower()
-    going = next((base for base in readings(verb).get("VERB", ()) if base in _TRAVELS), "")
+    going = _travel_base(verb)
     gait, read = _known_gait(found["verb"], going, known)
     turns = _in_form_of(verb, "turn") if going else verb
     return f"{found['before']}{gait} forward and {turns}{found['way']}", read
@@ -253,9 +254,14 @@ def _known_gait(word: str, verb: str, known: Collection[str]) -> tuple[str, dict
     return said, {word: said} if is_gait and said != word else {}
 
 
+def _travel_base(word: str) -> str:
+    """Returns the basic form of a verb of somebody who goes; an empty text for another word."""
+    return next((base for base in readings(word).get("VERB", ()) if base in _TRAVELS), "")
+
+
 def _travel_verb(word: str, before: str, after: str) -> str:
     """Returns the basic form of a word if it is the verb of somebody who goes somewhere; otherwise an empty text."""
-    verb = next((base for base in readings(word).get("VERB", ()) if base in _TRAVELS), "")
+    verb = _travel_base(word)
     if not verb or not _says_way(verb, after):
         return ""
     words = words_of(before)

@@ -45,7 +45,7 @@ def test_a_skeleton_in_another_unit_has_the_size_of_a_person(shared_data, tmp_pa
     path = sorted(shared_data("cmu-asfamc-sample").rglob("*.amc"))[0]
     (tmp_path / "a.amc").write_bytes(path.read_bytes())
     expected = load_amc(path)
-    for length in ("0.001", "10"):  # half a kilometer, and a doll of 7 cm
+    for length in ("0.001", "10"):  # a giant of 750 m, and a doll of 8 cm
         (tmp_path / "a.asf").write_text(find_skeleton(path).read_text().replace("length 0.45", f"length {length}"))
         clip = load_amc(tmp_path / "a.amc")
         np.testing.assert_allclose(clip.translations, expected.translations, rtol=1e-4, atol=1e-5)
