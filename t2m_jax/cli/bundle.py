@@ -1,5 +1,7 @@
 """Pack run folders into one model to share: `t2m bundle RUN... DIR`. The run of an evaluator becomes an evaluator.
 
+`t2m bundle MODEL TRAINED DIR --mean 0.7` writes a model between two, of which the second was trained on from the first.
+
 With `--push user/name`, the bundle is also uploaded to the Hugging Face hub. `t2m bundle DIR --push user/name` uploads
 a bundle that was packed before. The card must have a license in its metadata, such as `license: mit`.
 """
@@ -14,14 +16,19 @@ from t2m_jax.cli.options import show_next
 from t2m_jax.errors import UserError, naming
 
 if TYPE_CHECKING:
+    from t2m_jax.checkpoints import Bundle
     from t2m_jax.checkpoints.hub import HubName
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the options of the command."""
-    paths = "run folder of a generator, which contains its tokenizer; at last, the folder to write"
+    paths = (
+        "run folder of a generator, which contains its tokenizer; with --mean any model; at last, the folder to write"
+    )
     parser.add_argument("paths", nargs="+", metavar="PATH", help=paths)
     parser.add_argument("--card", default=None, metavar="FILE", help="model card (Markdown) to include")
+    mean = "write the mean of two models; the second, which was trained on from the first, counts SHARE (0 to 1)"
+    parser.add_argument("--mean", type=float, default=None, metavar="SHARE", help=mean)
     parser.add_argument("--export-official", action="store_true", help="also write files for the original code")
     name = "upload the bundle to this repository of the hub; with user/name@branch, to this branch"
     parser.add_argument("--push", default=None, metavar="user/name", help=name)
@@ -41,7 +48,7 @@ def run(args: argparse.Namespace) -> None:
     name = None if args.push is None else hub_name(args.push)
     if name is None and args.private:
         raise UserError("--private: is for --push; without it, nothing is uploaded")
-    if not runs and (name is None or args.card or args.export_official):
+    if not runs and (name is None or args.card or args.export_official or args.mean is not None):
         raise UserError("bundle: give the runs and then the folder to write; only --push takes a bundle alone")
     if runs:
         _pack(args, runs, Path(folder), name)
@@ -58,8 +65,9 @@ def _pack_evaluator(args: argparse.Namespace, run_folder: Path, destination: Pat
     """Writes the folder of an evaluator with the best weights of its run."""
     from t2m_jax.checkpoints import load_trained_evaluator, save_evaluator
 
-    if args.card or args.push or args.private or args.export_official:
-        raise UserError(f"{run_folder}: is an evaluator; --card, --push, --private, --export-official are for models")
+    if args.card or args.push or args.private or args.export_official or args.mean is not None:
+        options = "--card, --push, --private, --export-official, --mean"
+        raise UserError(f"{run_folder}: is an evaluator; {options} are for models")
     save_evaluator(destination, load_trained_evaluator(run_folder))
     sys.stdout.write(f"{destination}\n")
     show_next(shlex.join(["t2m", "check", f"{destination}"]))
@@ -69,20 +77,36 @@ def _pack(args: argparse.Namespace, runs: list[str], destination: Path, name: "H
     """Writes the folder; nothing is written if it is to be pushed to `name` and is not complete enough."""
     from t2m_jax.checkpoints.bundle import default_card, write_bundle
     from t2m_jax.checkpoints.hub_models import check_shareable
-    from t2m_jax.checkpoints.model import load_runs
     from t2m_jax.checkpoints.official import export_official
+    from t2m_jax.checkpoints.run import is_run
     from t2m_jax.checkpoints.text_encoder import included_encoder
     from t2m_jax.files.reading import load_text
     from t2m_jax.files.writing import atomic_folder
 
     # The folder appears only when it is complete, also if a card is missing or the disk is full.
     with atomic_folder(destination) as folder:
-        run_folder, bundle = load_runs([Path(path) for path in runs])
-        card = load_text(Path(args.card)) if args.card else default_card(run_folder)
-        write_bundle(folder, bundle, card=card, encoder=included_encoder(bundle.config.text_encoder))
+        bundle, source = _read(runs, args.mean)
+        if args.card:
+            bundle = bundle._replace(card=load_text(Path(args.card)))
+        elif is_run(source):
+            bundle = bundle._replace(card=default_card(source))
+        write_bundle(folder, bundle, card=bundle.card, encoder=included_encoder(bundle.config.text_encoder))
         if name is not None:
             with naming(destination):
                 check_shareable(folder)
         if args.export_official:
             export_official(folder / "official", bundle)
     sys.stdout.write(f"{destination}\n")
+
+
+def _read(paths: list[str], share: float | None) -> "tuple[Bundle, Path]":
+    """Returns the model of some runs, or with a share the mean of two models, and the folder of its card."""
+    from t2m_jax.checkpoints.averaging import mean_of_models
+    from t2m_jax.checkpoints.model import load_model, load_runs
+
+    if share is None:
+        run_folder, bundle = load_runs([Path(path) for path in paths])
+        return bundle, run_folder
+    if len(paths) != 2:
+        raise UserError("--mean: give two models and then the folder to write")
+    return mean_of_models(load_model(paths[0]), load_model(paths[1]), share), Path(paths[1])

@@ -3,10 +3,12 @@
 import dataclasses
 import errno
 
+import chex
 import numpy as np
 import pytest
 
-from t2m_jax.checkpoints import load_bundle, model
+from t2m_jax.checkpoints import load_bundle, model, save_bundle
+from t2m_jax.checkpoints.averaging import mean_of_models
 from t2m_jax.checkpoints.bundle import expected_variables
 from t2m_jax.checkpoints.official import export
 from t2m_jax.cli.main import main
@@ -67,6 +69,20 @@ def test_a_bundle_without_its_official_files_is_not_left(refusal, exporting, tmp
     assert (tmp_path / "out" / "README.md").read_text() == "# mine\n"
     assert not any(name.startswith(".") or name == "bundle" for name in names(tmp_path / "out"))
     np.testing.assert_array_equal(load_bundle(tmp_path / "out").normalizer, random_bundle().normalizer)
+
+
+def test_the_mean_of_two_models_is_written(refusal, bundle_folder, tmp_path, capsys):
+    new = random_bundle(seed=11)
+    new = new._replace(variables=new.variables | {"tokenizer": random_bundle().variables["tokenizer"]})
+    save_bundle(tmp_path / "new", new, card="# new\n")
+    command = ["bundle", str(bundle_folder), str(tmp_path / "new"), str(tmp_path / "mean"), "--mean", "0.25"]
+    assert "--mean: give two models" in refusal(*command[:1], *command[2:])
+    assert names(tmp_path) == ["new"]
+    assert main(command) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'mean'}\n"
+    found, parts = load_bundle(tmp_path / "mean"), [load_bundle(folder) for folder in command[1:3]]
+    assert found.card == "# new\n"
+    chex.assert_trees_all_close(found.variables, mean_of_models(*parts, 0.25).variables, rtol=1e-3, atol=1e-3)
 
 
 def raise_full():
