@@ -140,6 +140,7 @@ def save_pieces(path: str | Path, pieces: Iterable[Motion]) -> int:
         values: dict[str, Any] = {key: _grown_array(grown[key], example) for key, example in examples.items()}
         values |= {"fps": first.fps, "caption": first.caption, "seed": first.seed, "skeleton": first.skeleton.name}
         values |= {"part_starts": starts or None, "part_captions": captions or None}
+        values |= {"warning": first.warning or None, "unknown_words": first.unknown_words or None}
         with partial.open("wb") as file:
             np.savez_compressed(file, **{key: value for key, value in values.items() if value is not None})
     return frames

@@ -160,7 +160,7 @@ class TextToMotion:
         if request.is_bound:
             raise UserError("stream: a change of a motion, or one with targets, has no pieces; use make")
         request = request.in_turn(self.knowledge)
-        prompts = read_prompts(request.captions, self.knowledge, self.text_encoder)
+        prompts = read_prompts(request.captions, self.knowledge, self.text_encoder, notes=request.notes)
         first = Sample(prompts[0], request.seed, sample)
         if request.is_plain:
             return make_rows(self.parts, first, request.options)

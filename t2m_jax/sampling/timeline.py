@@ -146,8 +146,12 @@ def join_segments(
         part_starts=tuple(piece.first * downsample for piece in placed if piece.sentence is not None),
         part_captions=tuple(piece.sentence for piece in placed if piece.sentence is not None),
         warning=" ".join(_warnings(model, segments, placed, positions if cleaned is None else cleaned)),
-        unknown_words=tuple(dict.fromkeys(word for segment in segments for word in segment.prompt.unknown_words)),
+        unknown_words=_unknown_words(segments),
     )
+
+
+def _unknown_words(segments: Sequence[Segment]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(word for segment in segments for word in segment.prompt.unknown_words))
 
 
 def _warnings(
@@ -207,6 +211,7 @@ def stream_segments(
     begun: list[tuple[int, str]] = []
     downsample = model.config.tokenizer.downsample
     caption = chain_caption(segments, start)
+    warning = " ".join(dict.fromkeys(filter(None, (segment.prompt.warning for segment in segments))))
     frames = 0
 
     def numbered() -> Iterator[tuple[int, Codes]]:
@@ -228,6 +233,8 @@ def stream_segments(
             seed=seed,
             part_starts=tuple(first for first, _ in own),
             part_captions=tuple(text for _, text in own),
+            warning=warning,
+            unknown_words=_unknown_words(segments),
         )
         frames = last
         # Sentences begin when their codes are sampled, which is some windows before they are decoded.

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from t2m_jax.text.numerals import pattern, without_others
+from t2m_jax.text.numerals import pattern, without_busy_hands, without_others
 from t2m_jax.text.paces import GAITS
 from t2m_jax.text.sequence import split_sequence
-from t2m_jax.text.verbs import SIDES, Word, is_negated, word_set, words_of
+from t2m_jax.text.subjects import ANIMALS, CROWDS, PERSON
+from t2m_jax.text.verbs import BODY, DETERMINERS, LIGHT_VERBS, SIDES, Word, is_negated, word_set, words_of
 
 LONGEST = 200
 """Characters. Longer sentences say more than one thing, and take long to read."""
@@ -38,6 +39,10 @@ _HAND = pattern(
     rf"(?:(?P<many>both|two)(?: \w+){{0,2}} )?{_BODY})\b",
 )
 _MANY = pattern(r"\b(?:arms|hands|fists)\b")
+_WITH = pattern(r"\bwith (?:the|his|her|their|your|my|its) (?P<side>left|right)(?P<other>)(?= *(?:$|[.,;!?]))")
+"""A hand that is named by its side alone: "waves with her left"."""
+_OTHER = pattern(rf"\b(?:other|opposite)(?: (?:{_BODY}|one)\b|$|[,.!])")
+_SIDE_WORD = pattern(r"\b(left|right)\b")
 _DIRECTION = pattern(rf"\b(?P<side>left|right)\b(?!(?:[ -]hand\w*)|(?: and (?:left|right))? (?:{_BODY}|one)\b)")
 _HIGH = (
     r"(?:up(?! (?:an?|the|to)\b)|high|overhead|aloft|skywards?|above|over (?:his|her|their|your|my|its|the) head|"
@@ -58,6 +63,22 @@ _IN_TURN = pattern(
     r"\b(?:before|finally|first|followed|lower\w*|next|then|till|until)\b",
 )
 """Words of an order, but not "runs after the bus". Not all such sentences are cut."""
+_WHO = pattern(r"\b(?:that|which|who|whose)\b")
+"""What begins a clause about somebody else."""
+_MET = pattern(
+    r"(?P<met>\b(?:after|around|at|behind|beside|by|from|near|past|to|towards?|with) ",
+    r"(?:an?|another|her|his|some|the|their|two) (?:\w+ )?(?P<who>\w+)) \w+ing\b[^,;]*",
+)
+_OTHERS = PERSON | CROWDS | ANIMALS
+"""Whom somebody may meet."""
+_TO_THINGS = word_set(
+    """across after against along around at behind beside between by from into near off on onto over past through to
+    toward towards under"""
+)
+"""Words before things: "past a punching bag", "into the waves"."""
+_HANDS = word_set("arm finger fist hand palm wrist")
+"""Parts of the body that are raised with a hand."""
+_CLAUSE = pattern(r"(?:,|;|\b(?:and|as|but|while)\b)")
 _ACTIONS = frozenset().union(*GAITS.values(), _RAISES, _WAVES, _CLAPS, _PUNCHES)
 
 
@@ -98,7 +119,7 @@ def said_at_once(caption: str) -> SaidAtOnce | None:
     """
     if len(caption) > LONGEST:
         return None
-    own = without_others(caption)
+    own = _without_others(caption)
     if _IN_TURN.search(own):
         return None
     words = words_of(own)
@@ -106,42 +127,81 @@ def said_at_once(caption: str) -> SaidAtOnce | None:
     legs = _legs(own, words) if arms else None
     if not arms or legs is None or len(split_sequence(caption, _ACTIONS)) > 1:
         return None
-    return SaidAtOnce(legs, arms, _hands(own) if arms in ("raise", "wave") else frozenset())
+    return SaidAtOnce(legs, arms, _hands(own, arms) if arms in ("raise", "wave") else frozenset())
+
+
+def _without_others(caption: str) -> str:
+    """Returns a sentence without what it says of others: "to a friend who waves", "past a man waving"."""
+    own = without_others(caption)
+    for found in _WHO.finditer(own):
+        # "There is somebody who walks" is about the person.
+        if any(word.action not in LIGHT_VERBS | {""} for word in words_of(own[: found.start()])):
+            own = own[: found.start()]
+            break
+    return _MET.sub(lambda found: found["met"] if words_of(found["who"])[0].bases & _OTHERS else found[0], own)
 
 
 def _arms(text: str, words: Sequence[Word]) -> str:
     has_hand = _HAND.search(text) is not None
     for action, verbs in (("wave", _WAVES), ("clap", _CLAPS), ("punch", _PUNCHES)):
-        if _does(words, verbs, also_nouns=has_hand or action != "wave"):
+        if _places(words, verbs, also_nouns=has_hand or action != "wave"):
             return action
-    is_raised = has_hand and (_UP.search(text) or _does(words, _RAISES, also_nouns=True))
+    raised = _places(words, _RAISES, also_nouns=True)
+    is_raised = has_hand and (_UP.search(text) or any(_moves_hands(words, place) for place in raised))
     return "raise" if is_raised else ""
 
 
-def _does(words: Sequence[Word], verbs: frozenset[str], *, also_nouns: bool = False) -> bool:
-    """Returns whether somebody does what one of some verbs says, and whether a form of it is enough for that."""
-    places = [place for place, word in enumerate(words) if word.bases & verbs and (word.action or also_nouns)]
-    return bool(places) and not any(is_negated(words[:place]) for place in places)
+def _places(words: Sequence[Word], verbs: frozenset[str], *, also_nouns: bool = False) -> list[int]:
+    """Returns where words say that somebody does what one of some verbs says; a noun may be enough for that."""
+    found = [place for place, word in enumerate(words) if word.bases & verbs]
+    places = [place for place in found if words[place].action or (also_nouns and not _is_thing(words, place))]
+    return [] if any(is_negated(words[:place]) for place in places) else places
 
 
-def _hands(text: str) -> frozenset[str]:
-    found = list(_HAND.finditer(text))
-    sides = {side for one in found for side in (one["side"], one["other"]) if side}
-    if not sides and (any(one["many"] for one in found) or _MANY.search(text)):
+def _is_thing(words: Sequence[Word], place: int) -> bool:
+    """Returns whether a noun or a participle names where somebody goes: "past a punching bag"."""
+    before = [word.text for word in words[max(place - 3, 0) : place]][::-1]
+    start = next((index for index, text in enumerate(before) if text in DETERMINERS), None)
+    if start is None or start + 1 == len(before):
+        return bool(before) and before[0] in _TO_THINGS
+    return before[start + 1] in _TO_THINGS or before[start : start + 2] == ["the", "in"]
+
+
+def _moves_hands(words: Sequence[Word], place: int) -> bool:
+    """Returns whether the part of the body that a verb moves, the first one behind it or the last before, is a hand."""
+    parts = [word.bases for word in words[place:] if word.bases & BODY] or [
+        word.bases for word in words[:place][::-1] if word.bases & BODY
+    ]
+    return bool(parts and parts[0] & _HANDS)
+
+
+def _hands(text: str, arms: str) -> frozenset[str]:
+    """Returns the hands that do something, without those that do something else at the same time."""
+    free = without_busy_hands(text)
+    doing = [clause for clause in _CLAUSE.split(free) if _arms(clause, words_of(clause)) == arms]
+    found = [hand for clause in doing for hand in _HAND.finditer(clause)] or list(_HAND.finditer(free))
+    named = [*found, *(hand for clause in doing or [free] for hand in _WITH.finditer(clause))]
+    sides = {side.lower() for one in named for side in one.group("side", "other") if side}
+    busy = {side.lower() for side in _SIDE_WORD.findall(text)} - {side.lower() for side in _SIDE_WORD.findall(free)}
+    if not sides and len(busy) == 1 and any(map(_OTHER.search, doing or [free])):
+        return SIDES - busy
+    if not sides and any(one["many"] or _MANY.search(one[0]) for one in found):
         return SIDES
-    return frozenset(side.lower() for side in sides)
+    return frozenset(sides)
 
 
 def _legs(text: str, words: Sequence[Word]) -> str | None:
     """Returns what legs do, empty for a path that is not checked, None if somebody goes nowhere."""
     noun = _GAIT_NOUN.search(text)
     nouns = words_of(noun["noun"]) if noun else []
-    gaits = [gait for gait, verbs in GAITS.items() if _does(words, verbs) or _does(nouns, verbs, also_nouns=True)]
+    # "Run with both hands raised" begins with a verb.
+    nouns = [*words[:1], *nouns]
+    gaits = [gait for gait, verbs in GAITS.items() if _places(words, verbs) or _places(nouns, verbs, also_nouns=True)]
     if _BACKWARD.search(text):
         return "backward"
     if not gaits and not _GOES.search(text):
         return None
-    directions = {found["side"].lower() for found in _DIRECTION.finditer(text)}
+    directions = {found["side"].lower() for found in _DIRECTION.finditer(_WITH.sub("", text))}
     if _OTHER_PATHS.search(text) or len(directions) > 1:
         return ""
     if directions:

@@ -15,6 +15,7 @@ from t2m_jax.text.verbs import (
     Word,
     bases_of,
     forms,
+    inflected,
     word_set,
     words_of,
 )
@@ -39,9 +40,10 @@ _ENDS = re.compile(
 )
 """What ends or repeats the action before, whatever that is."""
 _OTHER = word_set("opposite other")
-_FILLERS = (DETERMINERS | PREPOSITIONS | SUBJECTS | AUXILIARIES | CLAUSE_STARTS) - _OTHER | word_set(
-    """again also direction do first follow just later likewise next now once only side start thing time too way
-    well"""
+_FILLERS = (DETERMINERS | PREPOSITIONS | SUBJECTS | AUXILIARIES | CLAUSE_STARTS) - word_set(
+    "both each every opposite other"
+) | word_set(
+    "again also direction do first follow just later likewise next now once only side start thing time too way well"
 )
 """Words of a clause that says no more than another side: "then the same with the right one"."""
 _SAME = re.compile(
@@ -51,9 +53,11 @@ _SAME = re.compile(
     re.IGNORECASE,
 )
 """Words in place of the verb of the other clause: "does the same"."""
-_LEFT_OR_RIGHT = re.compile(r"\b(left|right)\b", re.IGNORECASE)
+_THE = "(?:the|his|her|its|their|your|my)"
+_SIDE = re.compile(rf"\b(?:(?P<the>{_THE}) )?(?P<side>left|right)\b(?: (?P<part>\w+)\b)?", re.IGNORECASE)
+_THEN = re.compile(r",?(?: and)? then\b.*", re.IGNORECASE)
 _NO_NOUN = re.compile(
-    r"(?<!\bat )(?<!\bon )(?<!\bto )(?<!\bfrom )\b(?P<side>(?:the|his|her|its|their|your|my) (?:left|right))(?: one)?"
+    rf"(?<!\bat )(?<!\bon )(?<!\bto )(?<!\bfrom )\b(?P<side>{_THE} (?:left|right))(?: one)?"
     r"(?=$|,| is\b| was\b| has\b)",
     re.IGNORECASE,
 )
@@ -131,20 +135,51 @@ def name_part(clause: str, other: str) -> str:
 
 
 def _only_other_side(clause: str) -> bool:
-    texts = [word for word in words_of(_SAME.sub(" ", clause)) if not (_FILLERS | BODY) & word.bases]
-    return len(texts) == 1 and texts[0].text in SIDES | _OTHER
+    """Returns whether a clause, up to a further "then", says no more than another side or both: "the left foot"."""
+    said = _THEN.sub("", _SAME.sub(" ", clause))
+    texts = [word for word in words_of(said) if not (_FILLERS | BODY) & word.bases]
+    return len(texts) == 1 and texts[0].text in SIDES | _OTHER | {"both"}
 
 
 def _both_sides(full: str, clause: str) -> tuple[str, str] | None:
-    """Returns a clause, and the same for the side that another clause names."""
+    """Returns a clause, and the same for the side and the part of the body that another clause names."""
     full = re.sub(r",? first\b,?", "", full)
-    named = _sides(words_of(clause))
-    sides = _sides(words_of(full))
-    if not sides and not named and _ONE.search(full):  # "one hand, then the other"
-        return _ONE.sub(r"the left \g<part>", full), _ONE.sub(r"the right \g<part>", full)
-    if len(sides) != 1 or sides == named:
+    rest = _THEN.search(clause)
+    said = clause[: rest.start()] if rest else clause
+    after = rest[0] if rest else ""
+    words = words_of(said)
+    named = _sides(words)
+    is_both = any(word.text == "both" for word in words)
+    if not _sides(words_of(full)) and not named and (one := _ONE.search(full)):  # "one hand, then the other"
+        second = _both(one["part"]) if is_both else rf"the right {one['part']}"
+        return full if is_both else _ONE.sub(r"the left \g<part>", full), _ONE.sub(second, full) + after
+    # "Walks to the left and raises the right hand": only the hand has another side.
+    places = list(_SIDE.finditer(full))
+    places = [place for place in places if _part_of(place)] or places
+    sides = {place["side"].lower() for place in places}
+    parts = [word.text for word in words if BODY & word.bases]
+    is_same = sides == named and set(parts) <= set(map(_part_of, places))
+    # "Steps first left, then right, then left" is a way.
+    needs_part = bool(parts or rest)
+    if len(sides) != 1 or is_same or (needs_part and not all(map(_part_of, places))):
         return None
-    return full, _LEFT_OR_RIGHT.sub(lambda side: "right" if side[0].lower() == "left" else "left", full)
+    side = next(iter(named or SIDES - sides))
+    other = full
+    for place in places[::-1]:  # the last first, so that the others keep their places
+        part = parts[0] if parts else place["part"] or ""
+        new = _both(part) if is_both else " ".join(filter(None, (place["the"], side, part)))
+        other = f"{other[: place.start()]}{new}{other[place.end() :]}"
+    return full, other + after
+
+
+def _both(part: str) -> str:
+    return f"both {inflected(part, 'NNS') if part.lower() in BODY else part}".rstrip()
+
+
+def _part_of(place: re.Match[str]) -> str:
+    """Returns the part of the body behind a side, empty if there is none."""
+    part = (place["part"] or "").lower()
+    return part if BODY & forms(part) else ""
 
 
 def _sides(words: Iterable[Word]) -> set[str]:

@@ -1,7 +1,7 @@
 """How often a sentence says that something is done: "kicks twice", "three jumps", "takes four steps"."""
 
-import itertools
 import math
+import re
 from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
@@ -15,18 +15,23 @@ from t2m_jax.text.numerals import (
     ends_range,
     number_value,
     pattern,
+    without_busy_hands,
     without_others,
 )
+from t2m_jax.text.subjects import PERSON
 from t2m_jax.text.verbs import (
+    BODY,
     CLAUSE_STARTS,
     DETERMINERS,
     LIGHT_VERBS,
     PERFORMING_VERBS,
     PREPOSITIONS,
     SIDES,
+    SUBJECTS,
     Word,
     forms,
     is_negated,
+    readings,
     word_set,
     words_of,
 )
@@ -63,15 +68,33 @@ _DOING = PERFORMING_VERBS | LIGHT_VERBS | word_set("add attempt complete deliver
 """Verbs whose object is done, not hit: "throws a punch"."""
 _BACK = word_set("drop lower release relax return")
 """Verbs of the second half of an action: "raises the arm and lowers it twice"."""
-_WITH_SIDE = pattern(
-    r"\b(left|right)[ -](?:arm|foot|footed|hand|handed|leg|legged)\b|\b(left|right) (?:\w+ )?(?:kick|throw)\b|",
-    r"\bwith (?:his|her|its|the|their|your) (left|right)(?= one\b|$|[.,;!])",
-)
+_NO_THING = r"(?![ -](?:corner|direction|door|edge|goal|lane|post|side|wall)\b)"
+_NOT_ON = "".join(rf"(?<!\bon {word} )" for word in ("the", "his", "her", "its", "their", "your", "my"))
+_ADJECTIVE = r"(?!(?:and|or|then)\b)\w+"
+_WITH_SIDE = {
+    limb: pattern(
+        rf"(?<!'s ){_NOT_ON}\b(left|right)[ -](?:{words})\b{_NO_THING}|",
+        rf"\b(left|right) (?:{_ADJECTIVE} )?(?:kick|throw)\b|",
+        r"\bwith (?:his|her|its|the|their|your) (left|right)(?= one\b|$|[.,;!])",
+    )
+    for limb, words in {"leg": "foot|footed|leg|legged", "arm": "arm|fist|hand|handed"}.items()
+}
 """What names the side of an action: "kicks with the right leg", "a left-footed kick", but not "kicks to the left"."""
+_LEG_ACTIONS = word_set("kick")
+"""Those that are done with a leg."""
+_MEASURES = word_set("cm degree feet foot hour inch kg kilo meter metre minute mm month old pound second week year")
+_GROUPS = pattern(r"\b(?:circle|count|group|line|pair|row|team) of $")
+_NAMED = pattern(r"(?:(?:^|[,;] ?)(?:(?:an?|the) )?(?:\w+ )?|\b(?P<in>(?:at|for|from|in|of|on) ))(?P<noun>[a-z]+) $")
+"""A noun that a number may belong to: "player 2", "in scene 2"."""
+_RATE = pattern(r" (?:per|an?|each|every) (?:beat|hour|minute|second)\b")
+_LAST = pattern(rf"$|[.,;!]| (?:and|while|{'|'.join(sorted(PREPOSITIONS))})\b")
+_APART = pattern(r" (?:ahead of|apart|behind)\b")
+"""What follows steps that are a distance: "stays two steps behind"."""
 _STAIRS = word_set("ascend climb descend fall")
 """Verbs before a number of steps that are there."""
+_TO = word_set("at from on to toward towards")
 _TO_THE = word_set("his her its the their")
-"""Words between "to" and a side that is a direction: "to the left"."""
+"""Words before a side that is a direction: "to the left"."""
 
 
 class Times(NamedTuple):
@@ -122,11 +145,12 @@ def said_side(caption: str, sided: Collection[str]) -> SaidSide | None:
         caption: A checked sentence.
         sided: Basic forms of the verbs that are done with one leg or arm.
     """
-    own = without_others(caption)
-    sides = {next(filter(None, found.groups())).lower() for found in _WITH_SIDE.finditer(own)}
+    own = without_busy_hands(without_others(caption))
     words = words_of(own)
     done = [word.bases for place, word in enumerate(words) if not is_negated(words[:place])]
     actions = set(sided) & frozenset().union(*done)
+    named = _WITH_SIDE["leg" if actions <= _LEG_ACTIONS else "arm"].finditer(own)
+    sides = {next(filter(None, found.groups())).lower() for found in named}
     return SaidSide(actions.pop(), sides.pop()) if len(sides) == len(actions) == 1 else None
 
 
@@ -164,9 +188,12 @@ def _times(caption: str, found: Sequence[_Said]) -> Times | None:
 
 def _sides(words: Sequence[Word]) -> frozenset[str]:
     """Returns the sides that words name, both if they name none. "To the left" is a direction."""
-    texts = ["", "", *(text for word in words for text in word.text.split("-"))]
-    places = (place for place, text in enumerate(texts) if text in SIDES)
-    sides = {texts[place] for place in places if not (texts[place - 2] == "to" and texts[place - 1] in _TO_THE)}
+    texts = ["", "", *(text for word in words for text in word.text.split("-")), "", ""]
+    sides = set()
+    for place in (place for place, text in enumerate(texts) if text in SIDES):
+        is_part = not BODY.isdisjoint(forms(texts[place + 1])) and texts[place + 2] != "side"
+        if is_part or texts[place - 2] not in _TO or texts[place - 1] not in _TO_THE:
+            sides.add(texts[place])
     return frozenset(sides) if len(sides) == 1 else SIDES
 
 
@@ -230,14 +257,41 @@ def _is_thing(words: Sequence[Word], index: int, countable: Collection[str]) -> 
 def _nouns(caption: str, countable: Collection[str]) -> Iterator[tuple[int, _Said]]:
     """Yields where a sentence has a number before the noun of an action, as "two punches", but not "one hand waves"."""
     for noun in _NOUN.finditer(caption):
-        for text in itertools.takewhile(lambda text: text not in _NO_NOUN, noun["words"].lower().split()):
-            found = sorted(forms(text) & set(countable))
-            if found and (text == found[0] if noun["number"].lower() in SINGULAR else text.endswith("s")):
-                before = caption[: noun.start()]
-                if found[0] not in _THINGS and (noun["number"].lower() in MULTIPLES or _is_doing(before, found[0])):
-                    is_done = not is_negated(words_of(before)) and not ends_range(before)
-                    yield noun.start(), _Said(noun["number"], noun["number"], found[0] if is_done else "")
-                break
+        before = caption[: noun.start()]
+        number = noun["number"].lower()
+        action = _counted_noun(noun, countable, before)
+        is_done = number in MULTIPLES or _is_doing(before, action)
+        if action and is_done and not (_GROUPS.search(before) or _is_name(before)):
+            is_meant = not is_negated(words_of(before)) and not ends_range(before)
+            yield noun.start(), _Said(noun["number"], noun["number"], action if is_meant else "")
+
+
+def _counted_noun(noun: re.Match[str], countable: Collection[str], before: str) -> str:
+    """Returns the action among the words behind a number; empty if the number is about something else there."""
+    for word in re.finditer(r"[\w-]+", noun["words"].lower()):
+        bases = forms(word[0])
+        action = min(bases & set(countable), default="")
+        after = noun["words"][word.end() :] + noun.string[noun.end("words") :]
+        is_one = noun["number"].lower() in SINGULAR
+        # "Seven step to the front" has a mistake.
+        is_plural = not is_one and (word[0].endswith("s") or (word.start() == 1 and _LAST.match(after)))
+        if action and (is_plural or (is_one and word[0] == action)):
+            is_distance = action == "step" and _APART.match(after) and "tak" not in before
+            return "" if action in _THINGS or _RATE.match(after) or is_distance else action
+        # "A 7 year old jumps", "three men and kicks", "with two dogs jumps".
+        are_others = word[0].endswith("s") and "NOUN" in readings(word[0]) and "ADJ" not in readings(word[0])
+        if are_others or word[0] in _NO_NOUN | SUBJECTS or not (_MEASURES | PERSON).isdisjoint(bases):
+            return ""
+    return ""
+
+
+def _is_name(before: str) -> bool:
+    """Returns whether a number after a text is the name of something: "player 2"."""
+    found = _NAMED.search(before)
+    if found is None or found["noun"] in DETERMINERS or not BODY.isdisjoint(forms(found["noun"].lower())):
+        return False
+    kinds = readings(found["noun"].lower()).keys()
+    return kinds == {"NOUN"} or (found["in"] is not None and "NOUN" in kinds)
 
 
 def _is_doing(before: str, action: str) -> bool:

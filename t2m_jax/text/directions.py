@@ -9,7 +9,7 @@ more, without those of motions that are no gait, such as climbing.
 import re
 from collections.abc import Collection
 
-from t2m_jax.text.numerals import pattern
+from t2m_jax.text.numerals import ABOUT, pattern
 from t2m_jax.text.subjects import THINGS
 from t2m_jax.text.verbs import (
     BEFORE_BASE_FORM,
@@ -101,6 +101,8 @@ _NOT_LEARNED = pattern(r"^((?: all the way| just|,? \w+ly)*) (?:away(?! from)|ba
 """Words of a way that captions have for something else."""
 _AT = pattern(r"^((?: \w+ly)*) at\b")
 _HALF = r"(?:180|one[- ]eighty|(?:a|one) hundred (?:and )?eighty)(?: ?\u00b0|[- ]degrees?)?"
+_NEARLY = rf"(?:(?:{'|'.join(ABOUT)}) )?"
+_ANGLE = r"(?: (?!and\b)[\w.,-]+){1,5}?(?: ?\u00b0| ?degrees?\b|-degrees?\b)"
 _AROUND = r"(?:(?:\w+ly|right|half ?way) )?(?:a?round|about)"
 _BACK = (
     r"(?:to \w+ )?(?:(?:what|who|whoever) (?:is|was) )?(?:backwards?|behind(?: \w+)?|"
@@ -111,13 +113,14 @@ _TURNS = (
     r"whirl(?:ed|ing)?)s?"
 )
 _TURN = pattern(
-    rf"\b(?:(?P<turn>{_TURNS}) (?:(?:{_AROUND} )?{_BACK}|(?:{_AROUND} )?(?:by )?(?:{_HALF}|a half turn)|{_AROUND}|",
-    rf"{_OWN} back (?:on|to) \w+)|(?P<spin>spins?|spinning|spun) {_AROUND} to \w+|",
+    rf"\b(?:(?P<turn>{_TURNS}) (?:(?:{_AROUND} )?{_BACK}|",
+    rf"(?:{_AROUND} )?(?:by )?{_NEARLY}(?:{_HALF}|a half turn)|{_AROUND}|",
+    rf"{_OWN} back (?:on|to) \w+)|(?P<spin>spins?|spinning|spun) {_AROUND} to \w+(?: {_BACK})?|",
     r"(?P<does>(?:do|execut|mak|perform)\w*|did|made) (?:an?|half an?)(?: \w+)? ",
     rf"(?:about[ -](?:face|turn)|half[ -](?:rotation|turn)|{_HALF}(?: turn)?))",
-    rf"(?![\w-]| (?:{_A}|and (?:a?round|about)\b))",
+    rf"(?![\w-]| (?:{_A}|and (?:a?round|about)\b)|{_ANGLE})",
 )
-"""A turn by half a circle. "Turns around the corner" is a path."""
+"""A turn by half a circle. "Turns around the corner" is a path, and "turns about 90 degrees" another turn."""
 _TURNS_AROUND = "a person turns around to the right on the spot"
 _STILL = word_set("stand stay stop talk tell wait")
 """What somebody may do who turns around, without another motion."""

@@ -8,7 +8,18 @@ from typing import NamedTuple
 from t2m_jax.text.clauses import fill_in, name_part, only_ends
 from t2m_jax.text.coverage import has_action
 from t2m_jax.text.directions import find_turn, goes_somewhere, only_turns_to_side
-from t2m_jax.text.verbs import BODY_PARTS, DETERMINERS, SIDES, bases_of, form_of, forms, readings, word_set, words_of
+from t2m_jax.text.verbs import (
+    BODY_PARTS,
+    DETERMINERS,
+    PREPOSITIONS,
+    SIDES,
+    bases_of,
+    form_of,
+    forms,
+    readings,
+    word_set,
+    words_of,
+)
 
 _PERSON = r"(?:he|she|it|they|you|somebody|someone)"
 _JUST = r"(?:(?:right|just|only|shortly|soon|immediately|directly|straight) )?"
@@ -20,7 +31,7 @@ _LATER = r"(?:next(?! to)|finally|lastly|eventually|(?:a \w+ |a (?:bit|little) )
 _NO_ORDER = r"(?<!now and)(?<!\bby)(?<!since)(?<!until)(?<!back)"
 _TIME = r"(?:another|each|one|a while|[\w ]{0,20}(?:second|minute|moment|step|meter|pace|time)s?)\b"
 _CLAUSE = rf"(?= (?:{_PERSON}|the|his|her|its|their) )"
-_DONE = rf"(?= {_PERSON} (?:has|have|had|is|are) )"
+_DONE = rf"(?= {_PERSON} (?:has|have|had|(?:is|are)(?! (?:\w+ly )?\w+ing\b)) )"
 _AFTER = rf"{_JUST}(?:after(?! {_TIME})|once{_CLAUSE}|upon|as soon as|when{_DONE})"
 _BEFORE = rf"{_JUST}(?:before|prior to)"
 MAX_ACTIONS = 20
@@ -88,7 +99,7 @@ _SINKING = re.compile(rf"(?P<first>.+?),? and (?:{_PERSON} )?(?P<second>{_LEAVES
 _ARRIVED = re.compile(rf"(?P<first>.+?),? and (?:{_PERSON} )?(?P<second>.+)", re.IGNORECASE)
 """Two actions around an "and", of which one is the way to a place, or a turn: "walks in and waves"."""
 _PLACES = word_set("back box fence floor last place seat second train ward window")
-"""Known verbs that are something else behind "to the door and"."""
+"""Known verbs that are something else behind "to the door and" or "before the"."""
 _OBJECTS = word_set("at down her him himself herself it itself off on out them up")
 """Words that make a verb of a word before them that may be a noun: "opens it", "leans on the bar"."""
 _ON_THE_WAY = re.compile(
@@ -242,6 +253,10 @@ def _head(part: str) -> str:
 def _is_doing(clause: str, is_known: Callable[[str], bool]) -> bool:
     """Returns whether a clause says what the person does. What others do is hardly an action that the model knows."""
     head = _head(clause)
+    if head.partition(" ")[0].lower() in DETERMINERS and not _has_verb(head):
+        # "Before the window" and "after a jumping dog" name things, "after a kick" an action.
+        thing = list(itertools.takewhile(lambda word: word.text not in PREPOSITIONS, words_of(head)))[-1]
+        return is_known(thing.text) and _PLACES.isdisjoint(thing.bases)
     return is_known(head) or (head.partition(" ")[0].endswith("ing") and _has_verb(head))
 
 

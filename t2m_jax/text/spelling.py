@@ -19,6 +19,8 @@ MOST_MISTAKES = 3
 """With more words that may be mistakes, a prompt is hardly English, and each costs hundreds of lookups."""
 SHORTEST = 4
 """Letters of the shortest word that is corrected; shorter ones are one letter away from too many others."""
+LONGEST = 30
+"""Letters of the longest one. What is longer is no word, and looking for one would take seconds."""
 # No parts of "doesn't" or "party-goer".
 _WORD = re.compile(r"(?<![\w'-])[^\W\d_]+(?![\w'-])")
 FOREIGN = word_set(
@@ -63,7 +65,14 @@ def _may_be_mistake(found: re.Match[str], known: frozenset[str]) -> bool:
     is_name = found[0][0].isupper() and found.start() > 0
     # The dictionary lacks some plurals, such as "fours".
     is_plural = word.endswith("s") and not word.endswith("ss") and word[:-1] in known
-    return not (is_name or len(word) < SHORTEST or word in _GRAMMAR or word in known or is_plural or readings(word))
+    return not (
+        is_name
+        or not SHORTEST <= len(word) <= LONGEST
+        or word in _GRAMMAR
+        or word in known
+        or is_plural
+        or readings(word)
+    )
 
 
 def _one_mistake_away(word: str) -> Iterator[str]:

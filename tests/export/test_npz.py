@@ -112,7 +112,7 @@ def test_broken_files_are_refused(tmp_path, walk):
 def test_pieces_are_the_file_of_the_whole(tmp_path, walk, depth):
     features = np.arange(walk.num_frames * HUMANML3D.feature_dim, dtype=np.float32).reshape(walk.num_frames, -1)
     codes = np.arange(walk.num_frames * depth, dtype=np.int32).reshape(-1, depth)
-    fields = {"caption": "walks, then 👋", "seed": 2**32 - 1}
+    fields = {"caption": "walks, then 👋", "seed": 2**32 - 1, "warning": "not known", "unknown_words": ("👋",)}
     whole = Motion(
         walk.positions,
         20.0,

@@ -15,6 +15,7 @@ from t2m_jax.sampling.programs import generate_codes
 from t2m_jax.sampling.prompts import sample_key
 from t2m_jax.sampling.request import MotionRequest, SamplingOptions
 from t2m_jax.sampling.segments import context_rows
+from t2m_jax.text.coverage import PromptWarning
 from tests import tiny
 
 pytestmark = pytest.mark.slow
@@ -186,6 +187,16 @@ def test_a_stream_is_the_motion_as_decoded(model):
     captions = [text for piece in pieces for text in piece.part_captions]
     assert (tuple(starts), tuple(captions)) == (whole.part_starts, whole.part_captions)
     assert {(piece.caption, piece.seed, piece.fps) for piece in pieces} == {(whole.caption, 5, 20.0)}
+
+
+def test_a_stream_warns_as_the_whole_does(model):
+    captions, options = ["a person walks for five seconds", SECOND], {"seconds": 2.0, "seed": 5}
+    with pytest.warns(PromptWarning, match="takes 2 s, as asked for"):
+        (whole,) = model.generate_chain(captions, **options)
+    with pytest.warns(PromptWarning, match="takes 2 s, as asked for"):
+        pieces = list(model.stream_chain(captions, **options))
+    assert whole.warning
+    assert {(piece.warning, piece.unknown_words) for piece in pieces} == {(whole.warning, whole.unknown_words)}
 
 
 def test_a_stream_begins_before_all_is_sampled(model, monkeypatch):

@@ -28,6 +28,12 @@ NONE = frozenset()
         ("claps while walking in reverse", SaidAtOnce("backward", "clap", NONE)),
         ("waves the right hand as she walks around the left corner", SaidAtOnce("left", "wave", RIGHT)),
         ("turns right while walking with the left arm up", SaidAtOnce("right", "raise", LEFT)),
+        # Hands that do something else.
+        ("he walks with the left hand in his pocket while waving the right hand", SaidAtOnce("walk", "wave", RIGHT)),
+        ("he walks with his left hand on his hip and waves his right hand", SaidAtOnce("walk", "wave", RIGHT)),
+        ("she jogs with a cane in the right hand and waves with her left", SaidAtOnce("run", "wave", LEFT)),
+        ("holding a lamp in the left hand, she walks and raises the other", SaidAtOnce("walk", "raise", RIGHT)),
+        ("run with both hands raised", SaidAtOnce("run", "raise", BOTH)),
         # Other paths are not checked.
         ("waves both hands while walking in a circle", SaidAtOnce("", "wave", BOTH)),
         ("walks to the left clapping", SaidAtOnce("", "clap", NONE)),
@@ -62,6 +68,15 @@ def test_legs_and_arms_are_read(sentence, said):
         "puts the right arm up, lowers it and walks ahead",
         "before she waves with the left hand she runs to the gate",
         "he walks to the door and raises his hand",
+        # What others do, and things.
+        "a person walks to a friend who is waving",
+        "she walks toward the person waving at her",
+        "he runs to the man who claps",
+        "he walks past a clapping audience",
+        "a person walks past a punching bag",
+        "a man walks into the waves with his hands in his pockets",
+        "he marches lifting the knees high with the hands on the hips",
+        "he walks to the raised platform with a bag in his hand",
     ],
 )
 def test_other_sentences_ask_for_nothing_at_once(sentence):

@@ -185,6 +185,11 @@ def test_other_turns_to_a_side_are_no_walk(sentence):
         "the exit is on fire",
         "throws the ball over to the goal",
         "leans over to the window",
+        # Other angles than half a circle.
+        "a person turns about 45 degrees to face the door",
+        "a person turns around 360 degrees",
+        "he turns around by ninety degrees",
+        "he rotates around 45\u00b0",
     ],
 )
 def test_other_sentences_stay_as_they_are(sentence):

@@ -105,6 +105,24 @@ def test_a_sentence_says_how_long_its_motion_is(words, seconds):
         ("jumps 2.5 times", None),
         ("kicks 1000 times", None),
         ("walks twice", None),
+        # Numbers of something else.
+        ("a 7 year old jumps", None),
+        ("a 6 foot man jumps", None),
+        ("a man with 3 dogs kicks", None),
+        ("a group of three claps", None),
+        ("on the count of three he jumps", None),
+        ("player 2 jumps", None),
+        ("in scene 2 he jumps", None),
+        ("the person walks two steps per second", None),
+        ("stays two steps behind", None),
+        ("one hand waves", None),
+        ("he jumps once or twice", None),
+        ("claps twice or three times", None),
+        ("jumps three times, maybe four times", None),
+        ("two roundhouse kicks", ("kick", 2)),
+        ("a set of three star jumps", ("jump", 3)),
+        ("makes three step to the front", ("step", 3)),
+        ("takes two steps away from the wall", ("step", 2)),
     ],
 )
 def test_a_sentence_says_how_often(caption, times):
@@ -173,6 +191,12 @@ def test_times_that_are_not_counted(caption, found):
         ("does not kick with the left leg", None),
         ("throws or kicks with the left foot", None),
         ("steps left and kicks", None),
+        ("kicks to the right-hand side", None),
+        ("kicks while holding a bottle in the left hand", None),
+        ("throws the ball at his opponent's left leg", None),
+        ("standing on the left leg, she kicks with the right", ("kick", "right")),
+        ("kicks with the right leg and raises the left hand", ("kick", "right")),
+        ("throws a punch with the right fist, stepping on the left foot", ("throw", "right")),
     ],
 )
 def test_the_side_of_an_action(caption, said):

@@ -68,6 +68,11 @@ def test_three_actions_are_three_sentences(known):
     assert split_sequence("a nurse rises from her chair and waves", known) == ("a nurse rises from her chair", "waves")
 
 
+def test_an_action_may_be_named_by_a_noun(known):
+    assert split_sequence("he bows before a high kick", known) == ("he bows", "a high kick")
+    assert split_sequence("he waves when he has walked", known) == ("he has walked", "he waves")
+
+
 def test_one_step_after_the_other_is_one_action(known):
     for caption in ("she walks on, step after step", "walks backward, time after time"):
         assert split_sequence(caption, known) == (caption,)
@@ -108,6 +113,11 @@ def test_what_is_no_corner_is_an_action(parts, known):
         "turns right, then walks on",
         "walks, then turns left and walks on",
         "raises a hand, then puts it down",
+        "he waves before the window",
+        "he jumps upon the box",
+        "he runs after a jumping dog",
+        "she dances before a clapping audience",
+        "he waves when he is walking",
     ],
 )
 def test_one_action_is_not_cut(caption, known):
