@@ -39,6 +39,7 @@ def main(character: Path) -> None:
         for chosen in (None, character):
             if chosen is not None:
                 page.locator("#character-input").set_input_files(chosen)
+                expect(page.get_by_text("The character is being moved")).to_be_visible(timeout=120_000)
                 expect(page.locator("#save-character")).to_be_enabled(timeout=120_000)
             page.wait_for_timeout(2500)
             page.locator("#stage-frame").screenshot(path=path)
