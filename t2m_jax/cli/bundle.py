@@ -66,7 +66,7 @@ def _pack_evaluator(args: argparse.Namespace, run_folder: Path, destination: Pat
     from t2m_jax.checkpoints import load_trained_evaluator, save_evaluator
 
     if args.card or args.push or args.private or args.export_official or args.mean is not None:
-        options = "--card, --push, --private, --export-official, --mean"
+        options = "--mean, --card, --push, --private, --export-official"
         raise UserError(f"{run_folder}: is an evaluator; {options} are for models")
     save_evaluator(destination, load_trained_evaluator(run_folder))
     sys.stdout.write(f"{destination}\n")

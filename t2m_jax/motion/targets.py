@@ -55,7 +55,7 @@ FASTEST_LOW = 1.5
 MAX_TARGETS = 64
 """Most targets of a motion."""
 SYNTAX = "TIME JOINT=X,Y,Z, such as '2.0 right_wrist=0.3,1.5,0.2', '4 root=1,3 exact' or '1:2 left_foot=0.1,0,0.5'"
-_TARGET = re.compile(r"\s*([^\s:]+)(?::(\S+))?\s+(\w+)\s*(\+?=)\s*(\S.*?)(\s+exact)?\s*")
+_TARGET = re.compile(r"([^\s:]+)(?::(\S+))? (\w+) ?(\+?=) ?(\S.*?)( exact)?")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,7 +156,8 @@ def read_target(given: object) -> Target:
 
 
 def _from_text(text: str) -> Target:
-    found = _TARGET.fullmatch(text)
+    # With single spaces, no text of a stranger takes long to match.
+    found = _TARGET.fullmatch(" ".join(text.split()))
     begin, until, joint, sign, numbers, exact = found.groups() if found else ("", None, "", "", "", None)
     try:
         seconds = float(begin)

@@ -22,6 +22,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.export.html import STUDIO_SCRIPTS, stage_style, viewer_script
 from t2m_jax.motion.changes import Changes
 from t2m_jax.records import record_from
+from t2m_jax.sampling.request import MotionRequest
 from t2m_jax.serving import answers, schema
 from t2m_jax.serving.files import Names, apart, make_file, move_character, open_file, read_motion
 from t2m_jax.serving.jobs import FINAL_EVENTS, TRY_AGAIN, Event, Job, Jobs, QueueFullError
@@ -216,12 +217,18 @@ class _Server:
                     read_motion, fields["start"], fields.get("start_format", "npz"), None, Names("start")
                 )
         # To read long sentences takes longer than others should wait.
-        asked = await to_thread.run_sync(schema.motion_request(fields, start).in_turn, self.jobs.knowledge)
+        asked = await to_thread.run_sync(self._read, schema.motion_request(fields, start))
         schema.check_lengths(asked)
         if key is not None:
             self.kept.check(key)  # no other request may come between this and `start`
         events = self._events(self.jobs.submit(asked))
         return await self._answer(request, events if key is None else self.kept.start(key, events))
+
+    def _read(self, request: MotionRequest) -> MotionRequest:
+        """Returns a request with its sentences in turn, of which all is read that the queue asks for."""
+        asked = request.in_turn(self.jobs.knowledge)
+        asked.is_plain  # noqa: B018 - what sentences say is kept when it was read
+        return asked
 
     async def kept_motions(self, request: Request) -> Response:
         """Answers with the motions of a request that goes on without its reader, or forgets them."""

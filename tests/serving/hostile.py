@@ -46,6 +46,7 @@ ANSWERS = {200, 204, 307, 400, 401, 403, 404, 405, 408, 411, 413, 415, 421, 429,
 VALUES = (
     *(None, True, -1, 0, 1, 2**31, 2**64, 10**400, 1e308, -0.0, 0.1, "", "a", "\0", "\ud800", "../../etc/passwd"),
     *("🕺" * 50, "9" * 5000, "nan", [], {}, [[]], [None], ["a"] * 3000, [0] * 3000, {"": {}}, "a person walks " * 500),
+    "1 a=x" + " " * 20_000 + "y",
 )
 """What a field of JSON may hold that nobody expects."""
 NESTED = "a list in a list in a list"

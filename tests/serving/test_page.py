@@ -184,6 +184,27 @@ def test_files_for_download_can_be_read(open_studio, tmp_path):
     expect(page.locator(".take-meta").first).to_contain_text("file")
 
 
+def test_several_files_are_opened_and_the_shorter_of_two_ends_earlier(open_studio, walk, tmp_path):  # noqa: F811
+    page = open_studio()
+    for name, frames in {"short": 40, "long": 60}.items():
+        Motion(walk.positions[:frames], 20.0, caption=name).save(tmp_path / f"{name}.npz")
+    page.locator("#file-input").set_input_files([tmp_path / "short.npz", tmp_path / "long.npz"])
+    expect(page.locator(".take-caption")).to_have_text(["long", "short"])
+    page.get_by_role("button", name="Compare long").click()
+    page.get_by_role("button", name="Compare short").click()
+    expect(page.locator(".stage-caption")).to_have_count(2)
+    ends = {}
+    for number in (0, 1):
+        page.locator(".stage-caption").nth(number).click()
+        ends[page.locator(".stage-caption").nth(number).text_content()] = page.locator("#end").input_value()
+    assert ends == {"A: long": "3.00", "B: short": "2.00"}
+    # The key deletes the motion of the row, not the one that is shown.
+    page.locator(".take-open").first.click()
+    page.locator(".take-open").nth(1).focus()
+    page.keyboard.press("Delete")
+    expect(page.locator(".take-caption")).to_have_text(["long"])
+
+
 def test_every_field_of_the_interface_has_a_control(open_studio):
     page = open_studio()
     controls = page.locator("[data-field]").evaluate_all("(all) => all.flatMap((e) => e.dataset.field.split(' '))")
@@ -422,11 +443,14 @@ def test_full_storage_is_told(open_studio):
     expect(page.locator("#take-title")).to_have_text(WALK)
 
 
+TOKEN = "schl\u00fcssel"
+
+
 def test_a_token_is_asked_for(open_studio):
     page = open_studio(may_fail=["401"])
 
     def answer(route):
-        if route.request.headers.get("authorization") == "Bearer secret":
+        if route.request.headers.get("authorization") == f"Bearer {TOKEN}":
             route.continue_()
         else:
             route.fulfill(status=401, json={"error": "a token is needed"})
@@ -435,17 +459,17 @@ def test_a_token_is_asked_for(open_studio):
     page.reload()
     refused = page.get_by_text("The server has refused this token.")
     expect(refused).to_be_hidden()
-    page.locator("#token").fill("wrong")
+    page.locator("#token").fill("\u043f\u0430\u0440\u043e\u043b\u044c")  # another layout of the keyboard
     page.keyboard.press("Enter")
     expect(page.locator("#token")).to_have_value("")
     expect(refused).to_be_visible()
     assert serious_faults(page) == []
-    page.locator("#token").fill("secret")
+    page.locator("#token").fill(TOKEN)
     page.keyboard.press("Enter")
     expect(page.locator("#examples button").first).to_be_visible()
-    page.goto(page.url + "?token=secret")
+    page.goto(page.url + f"?token={TOKEN}")
     expect(page.locator("#examples button").first).to_be_visible()
-    assert "secret" not in page.url
+    assert "token" not in page.url
 
 
 def test_a_request_can_be_cancelled(open_studio):

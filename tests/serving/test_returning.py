@@ -3,11 +3,31 @@
 import pytest
 
 from docs.measure.studio import FILL
+from tests.export.conftest import walk  # noqa: F401 - a fixture
 from tests.export.test_viewer import browser, wait_until  # noqa: F401 - a fixture
 from tests.serving.test_hasty_users import SLOW_STREAM
-from tests.serving.test_page import WALK, WAVE, expect, generate, open_studio  # noqa: F401 - fixtures
+from tests.serving.test_page import (  # noqa: F401 - fixtures
+    WALK,
+    WAVE,
+    expect,
+    generate,
+    open_studio,
+    open_two_sentences,
+)
 
 pytestmark = pytest.mark.slow
+
+LONG_AGO = """new Promise((done) => {
+  const request = indexedDB.open("t2m-studio");
+  request.onsuccess = () => {
+    const entries = request.result.transaction("entries", "readwrite").objectStore("entries");
+    entries.getAll().onsuccess = ({ target }) => {
+      for (const entry of target.result) entries.put({ ...entry, deleted: 1 });
+    };
+    entries.transaction.oncomplete = () => { request.result.close(); done(); };
+  };
+})"""
+"""Says of all motions of the history that they were deleted in 1970."""
 
 
 def test_a_reload_keeps_the_draft_the_settings_and_the_selection(open_studio):  # noqa: F811
@@ -16,13 +36,16 @@ def test_a_reload_keeps_the_draft_the_settings_and_the_selection(open_studio):  
     generate(page, WALK, samples=2, takes=2)
     page.locator(".stage-caption").nth(1).click()
     page.get_by_role("spinbutton", name="Begin").fill("0.2")
+    page.get_by_role("combobox", name="Joint names").select_option("mixamo")
+    page.get_by_role("checkbox", name="All samples").check()
     page.get_by_role("radio", name="Redo part").check(force=True)
     page.get_by_role("textbox", name="Sentence").fill("a draft")
     page.get_by_text("More options").click()
     page.get_by_role("spinbutton", name="Top k").fill("20")
-    page.get_by_role("radio", name="BVH").check(force=True)
     page.locator("#changes summary").click()
     page.get_by_role("checkbox", name="Mirrored").check()
+    page.get_by_role("checkbox", name="Only the span").uncheck()
+    page.get_by_role("radio", name="MP4").check(force=True)  # which has no names of joints
     page.get_by_role("combobox", name="Speed", exact=True).select_option("0.5")
     page.reload()
     expect(page.locator("#take-title")).to_have_text(WALK)
@@ -33,11 +56,28 @@ def test_a_reload_keeps_the_draft_the_settings_and_the_selection(open_studio):  
     expect(page.get_by_role("textbox", name="Seed")).to_have_value("7")
     expect(page.get_by_role("combobox", name="Samples")).to_have_value("2")
     expect(page.locator("[data-field=top_k]")).to_have_value("20")
-    expect(page.get_by_role("button", name="Download BVH")).to_be_visible()
+    expect(page.get_by_role("button", name="Download MP4")).to_be_visible()
     expect(page.get_by_role("checkbox", name="Mirrored")).to_be_checked()
+    expect(page.get_by_role("checkbox", name="Only the span")).not_to_be_checked()
+    expect(page.get_by_role("checkbox", name="All samples")).to_be_checked()
+    page.get_by_role("radio", name="GLB").check(force=True)
+    expect(page.get_by_role("combobox", name="Joint names")).to_have_value("mixamo")
     expect(page.get_by_role("combobox", name="Speed", exact=True)).to_have_value("0.5")
     page.get_by_role("radio", name="New").check(force=True)
     expect(page.get_by_role("textbox", name="Sentence")).to_have_value(WALK)  # what was sent is no draft
+
+
+def test_a_deleted_motion_comes_back_although_another_tab_was_opened_later(open_studio, walk, tmp_path):  # noqa: F811
+    page = open_studio()
+    open_two_sentences(page, walk, tmp_path)
+    page.keyboard.press("Delete")
+    expect(page.locator(".take")).to_have_count(0)
+    page.evaluate(LONG_AGO)
+    open_studio(beside=page)
+    page.keyboard.press("Control+z")
+    expect(page.locator(".take")).to_have_count(1)
+    page.reload()
+    expect(page.locator(".block")).to_have_text([WALK, WAVE])
 
 
 @pytest.mark.release

@@ -2,7 +2,7 @@
 
 import { clearMessage, create, find, seconds, showMessage } from "./dom.js";
 import { clearFields, complaint, findField, makeFields, plain, readFields, showField, wrongField } from "./fields.js";
-import { keepForm } from "./memory.js";
+import { keepForm, recallInTab, rememberInTab, setValues } from "./memory.js";
 import { changeSample } from "./recipe.js";
 import { fileName, saveBlob } from "./savefile.js";
 import { makeFile, ServerError } from "./server.js";
@@ -16,10 +16,13 @@ export class DownloadPanel {
     makeFields(this.form, model.fields.files, find("more-changes"));
     find("formats").append(...formats.map((format) => this.#formatChoice(format)));
     this.form.elements.format.value = formats.includes("glb") ? "glb" : formats[0];
+    this.former = recallInTab(this.form.id) ?? {};
     keepForm(this.form);
     // Fields that only some formats have, and what the user has chosen there.
     const names = new Set(Object.values(model.file_options).flatMap(Object.keys));
-    this.wanted = new Map([...names].filter((name) => name in model.fields.files).map((name) => [name, findField(name).value]));
+    const before = recallInTab("file-options") ?? {};
+    this.wanted = new Map([...names].filter((name) => name in model.fields.files).map((name) => [name, before[name] ?? findField(name).value]));
+    addEventListener("pagehide", () => rememberInTab("file-options", Object.fromEntries(this.wanted)));
     this.form.addEventListener("change", ({ target }) => {
       if (this.wanted.has(target.dataset.field)) this.wanted.set(target.dataset.field, target.value);
       this.#update();
@@ -31,6 +34,11 @@ export class DownloadPanel {
     find("apply-changes").addEventListener("click", () => this.apply());
     session.onChange(["take", "select", "span"], () => this.#update());
     this.#update();
+  }
+
+  // Returns to what was chosen for the motion and the span that were shown when the page was left.
+  resume() {
+    setValues(this.form, { "save-span": this.former["save-span"] });
   }
 
   get format() {
@@ -67,7 +75,7 @@ export class DownloadPanel {
     const input = find(id);
     input.closest("label").hidden = !possible;
     // A span that the user has just chosen is what they want to have.
-    if (possible && input.disabled) input.checked = id === "save-span";
+    if (possible && input.disabled && id === "save-span") input.checked = true;
     input.disabled = !possible;
   }
 

@@ -10,6 +10,7 @@ const KINDS = { new: "", file: "file", continue: "continued", insert: "inserted"
 const CLOCK = new Intl.DateTimeFormat([], { timeStyle: "short" });
 const CALENDAR = new Intl.DateTimeFormat();
 const [WIDTH, HEIGHT] = [72, 34]; // pixels of the picture of a motion
+const TABS = "t2m-studio-tabs";
 const DELETED_FOR = 3_600_000; // milliseconds for which a deleted motion can come back
 
 export class History {
@@ -29,7 +30,8 @@ export class History {
     try {
       this.store = await Store.open();
       const all = await this.store.entries();
-      await this.store.delete(all.filter(({ deleted }) => deleted && Date.now() - deleted > DELETED_FOR));
+      const isOld = ({ deleted }) => deleted && Date.now() - deleted > DELETED_FOR;
+      if (await isOnlyTab()) await this.store.delete(all.filter(isOld)); // another tab may bring them back
       await this.#read();
     } catch {
       showMessage("This browser keeps no history here: motions are lost when the page is closed.");
@@ -101,6 +103,7 @@ export class History {
   async change(ids, fields) {
     const changed = this.#entries.filter(({ id }) => ids.includes(id));
     if (changed.length < ids.length) throw new Error("this motion is no longer in the history");
+    if (fields.deleted === null) for (const id of ids) await this.take(id); // another tab may have made room
     for (const entry of changed) Object.assign(entry, fields);
     const stored = changed.filter(({ id }) => !this.#loose.has(id));
     await this.store?.change(stored).catch(() => showMessage("The history could not be changed in the browser's storage."));
@@ -217,9 +220,22 @@ export class History {
     const compare = iconButton("compare", `Compare ${short}`, () => this.onPin(this.find(id)));
     const remove = iconButton("remove", `Delete ${short}`, once(() => this.#deleteOne(this.find(id))));
     const row = create("li", { className: "take" }, open, compare, remove);
+    row.addEventListener("keydown", (event) => {
+      if (event.key !== "Delete") return;
+      event.stopPropagation(); // elsewhere, the key deletes the motion that is shown
+      remove.click();
+    });
     Object.assign(row.dataset, { id, shown: `${title}\n${about}` });
     return row;
   }
+}
+
+// Returns whether no other tab shows the studio; where browsers cannot tell, no. This tab then counts for others.
+async function isOnlyTab() {
+  if (!navigator.locks) return false;
+  const isOnly = await navigator.locks.request(TABS, { ifAvailable: true }, (lock) => lock !== null);
+  navigator.locks.request(TABS, { mode: "shared" }, () => new Promise(() => {}));
+  return isOnly;
 }
 
 // Motions of earlier versions have no picture.

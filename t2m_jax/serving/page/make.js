@@ -93,7 +93,7 @@ export class MakePanel {
   fill(steps) {
     if (steps.length > 1) return;
     setValues(find("make"), { ...EMPTY, ...steps[0].make });
-    findField("targets").dispatchEvent(new Event("input", { bubbles: true }));
+    for (const name of ["input", "filled"]) findField("targets").dispatchEvent(new Event(name, { bubbles: true }));
     this.#showValues();
   }
 
@@ -235,7 +235,8 @@ export class MakePanel {
     if (mode === "redo" && span === null) return this.#refuse(HINTS.redo(this.session), find("begin-handle"));
     const request = { captions, seed: seed ? Number(seed) : null, num_samples: Number(find("num-samples").value), ...readFields(find("make")) };
     if (mode === "redo") Object.assign(request, { span, targets: targetsIn(request.targets ?? "", span) || undefined });
-    if (mode === "insert") Object.assign(request, { seconds: INSERTED_SECONDS, ...request, span: [this.player.time, this.player.time] });
+    const now = Math.min(this.player.time, this.session.motion?.seconds ?? 0); // other samples may be longer
+    if (mode === "insert") Object.assign(request, { seconds: INSERTED_SECONDS, ...request, span: [now, now] });
     if (mode === "vary") request.strength = Number(find("strength").value);
     return request;
   }

@@ -10,13 +10,16 @@ export function listenForFiles(model, onOpen) {
     clearMessage();
     // A table of joints is chosen together with its motion file.
     const table = files.find(isTable);
-    const file = files.find((one) => one !== table) ?? table;
-    showNotice(`${file.name} is being opened …`);
-    try {
-      onOpen(await readTake(file, file === table ? undefined : table, model));
-      clearNotice();
-    } catch (error) {
-      showMessage(error instanceof ServerError ? error.message : `${file.name}: ${error.message}`);
+    const motions = files.filter((one) => !isTable(one));
+    for (const file of motions.length ? motions : [table]) {
+      showNotice(`${file.name} is being opened …`);
+      try {
+        onOpen(await readTake(file, file === table ? undefined : table, model));
+        clearNotice();
+      } catch (error) {
+        showMessage(error instanceof ServerError ? error.message : `${file.name}: ${error.message}`);
+        return;
+      }
     }
   };
   find("open-file").addEventListener("click", () => input.click());

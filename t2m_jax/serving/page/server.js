@@ -2,9 +2,10 @@
 
 import { ask, find } from "./dom.js";
 import { labeled } from "./fields.js";
+import { recallInTab, rememberInTab } from "./memory.js";
 
-const TOKEN_KEY = "t2m-token";
 const DEFAULT_WAIT = 5;
+let token = recallInTab("token"); // a variable, because a browser may forbid storage
 
 export class ServerError extends Error {
   constructor(message) {
@@ -16,19 +17,26 @@ export class LostConnection extends ServerError {}
 // A link can bring the token (`?token=...`). It then leaves the address, so that it is not copied with it.
 export function takeTokenFromAddress() {
   const address = new URL(location.href);
-  const token = address.searchParams.get("token");
-  if (token === null) return;
-  sessionStorage.setItem(TOKEN_KEY, token);
+  if (!address.searchParams.has("token")) return;
+  setToken(address.searchParams.get("token"));
   address.searchParams.delete("token");
   history.replaceState(null, "", address);
 }
 
+function setToken(given) {
+  token = given;
+  rememberInTab("token", given);
+}
+
+// Headers have bytes, and a token may have any letter.
+const bytesOf = (text) => String.fromCharCode(...new TextEncoder().encode(text));
+
 async function askForToken() {
   const input = find("token");
-  find("token-refused").hidden = sessionStorage.getItem(TOKEN_KEY) === null;
+  find("token-refused").hidden = token === null;
   const answer = await ask(find("token-dialog"));
   if (answer !== "yes" || !input.value) return false;
-  sessionStorage.setItem(TOKEN_KEY, input.value);
+  setToken(input.value);
   input.value = "";
   return true;
 }
@@ -54,8 +62,7 @@ export function pause(seconds, signal) {
 }
 
 async function fetchOnce(path, options) {
-  const token = sessionStorage.getItem(TOKEN_KEY);
-  const headers = token === null ? options.headers : { ...options.headers, Authorization: `Bearer ${token}` };
+  const headers = token === null ? options.headers : { ...options.headers, Authorization: `Bearer ${bytesOf(token)}` };
   try {
     return await fetch(path, { ...options, headers });
   } catch (error) {

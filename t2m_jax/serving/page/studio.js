@@ -84,6 +84,7 @@ async function start() {
   };
   await history.open();
   await showFormer(session, history, player).catch(complain);
+  download.resume();
   await comparison.resume(history).catch(complain);
   character.resume(history.store).catch(complain);
   keepParts();

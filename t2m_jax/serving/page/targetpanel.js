@@ -57,7 +57,10 @@ export class TargetPanel {
     const value = input.valueAsNumber;
     if (item && Number.isFinite(value)) {
       const place = placesOf(item).map((name, index) => (name === input.dataset.place ? value : item.place[index]));
-      this.#set(input.dataset.place ? { place } : { seconds: Math.max(value, 0) });
+      const seconds = Math.max(value, 0);
+      // A target that holds for a while moves as a whole.
+      const until = item.until && rounded(Number(item.until) + seconds - item.seconds);
+      this.#set(input.dataset.place ? { place } : { seconds, until });
     }
     this.#showNumbers(this.targets.items[this.targets.selected], null);
   }

@@ -1,7 +1,7 @@
 // Where joints should be at a time. The text of a field is the only place where they are kept: what the user types, drags
 // or deletes changes it, and all else is drawn from it.
 
-const FORM = /^\s*([^\s:]+)(?::(\S+))?\s+(\w+)\s*(\+?=)\s*(\S.*?)(\s+exact)?\s*$/;
+const FORM = /^([^\s:]+)(?::(\S+))? (\w+) ?(\+?=) ?(\S.*?)( exact)?$/; // with single spaces, which no text makes slow
 export const ROOT = "root";
 export const FACING = "facing";
 export const POSE = "pose";
@@ -15,7 +15,7 @@ const numberOf = (text) => (text?.trim() ? Number(text) : NaN);
 
 // Returns {seconds, until, joint, sign, place, exact} of a text; of one that cannot be read, {text}.
 export function readTarget(text) {
-  const [, begin, until, joint, sign, numbers, exact] = FORM.exec(text) ?? [];
+  const [, begin, until, joint, sign, numbers, exact] = FORM.exec(text.trim().replace(/\s+/g, " ")) ?? [];
   const place = (numbers ?? "").split(",").map(numberOf);
   const seconds = numberOf(begin);
   const isWhole = joint === POSE ? place.length % 3 === 0 : place.length === placesOf({ joint }).length;
@@ -53,6 +53,7 @@ export class Targets extends EventTarget {
     this.#kept = field.value;
     field.addEventListener("input", () => this.#read());
     field.addEventListener("change", () => this.keep());
+    field.addEventListener("filled", () => (this.#kept = field.value)); // by the page, which is no step of undo
     session.onChange(["take", "select"], () => this.#tell());
     this.#read();
   }

@@ -21,6 +21,7 @@ export class Timeline {
     });
     find("whole").addEventListener("click", () => session.setSpan(null));
     session.onChange(["take", "select"], () => this.#draw());
+    session.onChange(["select"], () => this.#limitSpan());
     session.onChange(["span"], () => this.#drawSpan());
     this.#draw();
   }
@@ -28,7 +29,7 @@ export class Timeline {
   // What changes with each frame.
   update() {
     const { stage, player, scrub } = this;
-    if (this.length !== stage.seconds) this.#draw(); // frames are still coming
+    if (this.whole !== stage.seconds) this.#draw(); // frames are still coming
     scrub.value = player.frame;
     scrub.setAttribute("aria-valuetext", `Frame ${player.frame} of ${player.lastFrame}, ${seconds(stage.time)}`);
     this.track.style.setProperty("--now", this.fraction(player.frame / player.fps));
@@ -45,7 +46,7 @@ export class Timeline {
 
   // Makes room for a motion of so many seconds, if it is longer than the one that is shown.
   stretch(length) {
-    this.extent = Math.max(length, this.length);
+    this.extent = Math.max(length, this.whole);
     this.scrub.max = Math.round(this.extent * this.player.fps);
     this.#drawRuler();
     this.#drawSpan();
@@ -89,13 +90,28 @@ export class Timeline {
   }
 
   #draw() {
-    this.length = this.extent = this.stage.seconds;
+    this.whole = this.extent = this.stage.seconds; // of the longest sample
+    this.length = this.#selectedLength();
     find("timeline").classList.toggle("idle", !this.session.motion);
     for (const element of find("timeline").querySelectorAll("button, input, select")) element.disabled = !this.session.motion;
     this.scrub.max = this.player.lastFrame + 1; // the end of the last frame, so that the thumb agrees with the ruler
     this.#drawRuler();
     this.blocks.draw();
     this.#drawSpan();
+  }
+
+  // Seconds of the selected one of several samples, where all of it is shown.
+  #selectedLength() {
+    const { take, motion } = this.session;
+    const longest = Math.max(0, ...(take?.motions ?? []).map((one) => one.seconds));
+    return motion && Math.abs(longest - this.whole) < 1 / this.player.fps ? motion.seconds : this.whole;
+  }
+
+  // A shorter sample ends before the span of a longer one.
+  #limitSpan() {
+    const { span } = this.session;
+    if (!span || span[1] <= this.length) return;
+    this.session.setSpan(span[0] < this.length - 1 / this.player.fps ? [span[0], this.length] : null);
   }
 
   #drawRuler() {

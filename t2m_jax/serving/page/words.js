@@ -12,8 +12,10 @@ export function showWords(model, insert) {
   });
   find("words").append(...chips);
   find("word-count").textContent = `(${words.length})`;
-  find("word-filter").addEventListener("input", (event) => {
-    const part = event.target.value.trim().toLowerCase();
+  const filter = () => {
+    const part = find("word-filter").value.trim().toLowerCase();
     for (const chip of chips) chip.hidden = !chip.textContent.includes(part);
-  });
+  };
+  find("word-filter").addEventListener("input", filter);
+  filter(); // the browser may have kept what was written
 }
