@@ -97,8 +97,8 @@ def _known_identity(config: Any, *, resume: bool) -> str:
     # A run goes on only with the encoder that it began with.
     if resume:
         known = load_bundle_config(config.run).text_encoder
-    # A network that starts from a model reads the states that it has learned to read.
-    elif config.init is not None and config.text_encoder == "sentence_states":
+    # What starts from a model reads the embeddings or the states that it has learned to read.
+    elif config.init is not None and config.init_parts == "all":
         known = load_model(config.init).config.text_encoder
     reference = None if known is None else pretrained_reference(known)
     return "" if reference is None else reference.identity

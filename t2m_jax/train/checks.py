@@ -12,6 +12,7 @@ from flax import traverse_util
 
 from t2m_jax.checkpoints.bundle import BUNDLED, bundle_path
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
+from t2m_jax.checkpoints.evaluator import EVALUATOR_CONFIG, PACKAGED, load_trained_evaluator
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.run import CONFIG_FILE, foreign_file, is_run, run_config_text, run_info
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
@@ -112,8 +113,10 @@ def _is_same(config: Any, name: str, saved: Any, value: Any) -> bool:
 
 
 def _fingerprint(model: str) -> str:
-    """Returns the fingerprint of a bundle, or of the run of a generator or a tokenizer."""
+    """Returns the fingerprint of a bundle, or of the run of a generator, a tokenizer or an evaluator."""
     path = bundle_path(model)
+    if (path / EVALUATOR_CONFIG).is_file():
+        return load_trained_evaluator(path).fingerprint
     return load_model(path).fingerprint if (path / BUNDLE_FILE).is_file() else load_tokenizer(path).fingerprint
 
 
@@ -160,7 +163,9 @@ def load_statistics(config: Any, dataset: Dataset) -> Normalizer:
     if statistics == FROM_DATA:
         return weighted_normalizer(dataset.normalizer, dataset.skeleton.layout, factor=config.root_weight)
     path = bundle_path(statistics)
-    if is_run(path) or (path / BUNDLE_FILE).is_file():
+    if statistics in PACKAGED or (path / EVALUATOR_CONFIG).is_file():
+        normalizer = load_trained_evaluator(statistics).normalizer
+    elif is_run(path) or (path / BUNDLE_FILE).is_file():
         normalizer = load_tokenizer(path).normalizer
     elif path.suffix == ".npy":
         # `mean.npy` and `std.npy`, or `Mean.npy` and `Std.npy` as in HumanML3D.
@@ -223,6 +228,16 @@ def fitting_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str,
         raise UserError(f"init: no array of {source} has a name and a shape of this config")
     logger.info("%d of %d arrays start from %s, the others at random", len(fitting), len(merged), source)
     return traverse_util.unflatten_dict(merged | fitting, sep="/")
+
+
+def warn_of_schedule(config: Any) -> None:
+    """Says so if the last updates of a training would change nothing, as those after a decay of the learning rate."""
+    cosine = config.optimizer.cosine
+    if cosine is not None and config.loop.num_steps > cosine[1]:
+        says = (
+            "optimizer.cosine: the learning rate is 0 from update %d on, but loop.num_steps is %d; to train on, start a"
+        )
+        logger.warning(f"{says} new run with `--init`", cosine[1], config.loop.num_steps)
 
 
 def check_same_function(source: str, given: Any, config: Any, fields: Iterable[str]) -> None:

@@ -3,10 +3,12 @@
 import dataclasses
 import functools
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key
 
@@ -19,9 +21,10 @@ from t2m_jax.errors import UserError
 from t2m_jax.losses import infonce_loss, margin_loss, pair_distances
 from t2m_jax.metrics.retrieval import r_precision
 from t2m_jax.models.evaluator import FRAMES_PER_MOVEMENT, Evaluator, evaluator_shapes
+from t2m_jax.motion.normalizer import Normalizer
 from t2m_jax.text.word_vectors import Vocabulary, load_vocabulary, load_word_vectors, vocabulary_from_captions
 from t2m_jax.train.checks import open_training_data
-from t2m_jax.train.config import compiled_config
+from t2m_jax.train.config import InitParts, compiled_config
 from t2m_jax.train.evaluator_config import EvaluatorStepConfig, TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Trainer, Validation
 from t2m_jax.train.movement import MOVEMENTS, train_movements
@@ -162,6 +165,16 @@ def make_vocabulary(config: TrainEvaluatorConfig, samples: Sequence[Clip], *, re
     return vocabulary_from_captions(captions.all_tokens(samples), min_count=config.min_count)
 
 
+def _check_start(init: Path, parts: InitParts, normalizer: Normalizer, vocabulary: Vocabulary) -> None:
+    """Raises `UserError` if weights of `init` would read other motion or words than those that they have learned."""
+    source = load_trained_evaluator(init)
+    if not all(map(np.array_equal, normalizer, source.normalizer)):
+        raise UserError(f"statistics: those of {init} are others, but its movement encoder stays; set it to `init`")
+    words = (vocabulary.words, source.vocabulary.words)
+    if words[0] != words[1] and (parts == "all" or len(words[0]) == len(words[1])):
+        raise UserError(f"words: {init} has other words, so its word vectors would be exchanged; leave it out")
+
+
 def load_table(config: TrainEvaluatorConfig, vocabulary: Vocabulary) -> Array | None:
     """Returns the given word vectors, None if they are trained.
 
@@ -203,6 +216,8 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     # Shorter motions have no movement, so that the evaluator could not tell them apart.
     samples, validated = (matching_samples(clips, dataset.info) for clips in (train, held_out))
     vocabulary = make_vocabulary(config, samples, resume=resume)
+    if config.init is not None and not resume:
+        _check_start(config.init, config.init_parts, normalizer, vocabulary)
     # The state that is restored has the movement encoder and the word vectors; their files may be gone.
     is_restored = resume and newest_step(config.run) > 0
     table = None if is_restored else load_table(config, vocabulary)

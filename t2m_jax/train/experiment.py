@@ -165,6 +165,7 @@ def train(config: ExperimentConfig, *, resume: bool = False) -> Any:
         config = trainer.resolve(config, resume)
         if resume:
             checks.check_same_config(config)
+        checks.warn_of_schedule(config)
         done = newest_step(config.run) if resume else 0
         if done > config.loop.num_steps:
             raise UserError(f"loop.num_steps: {config.loop.num_steps}, but {config.run} has made {done} updates")

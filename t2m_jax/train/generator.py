@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from t2m_jax.checkpoints.averaging import FREE_FIELDS
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, Bundle, BundleConfig, part_kinds
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.text_encoder import trained_network
@@ -192,7 +193,9 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
         weights=weights_of,
         write_parts=write_parts,
-        start_from=lambda path: start_from_model(path, tokenizer, parts=config.init_parts, like=parts),
+        start_from=lambda path: start_from_model(
+            path, tokenizer, parts=config.init_parts, like=parts, stays=config.trained == "text"
+        ),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
         evaluation=make_evaluation(config, parts, tokenizer, reader),
         # The config counts what chooses the weights, and the loop updates.
@@ -202,12 +205,18 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
 
 
 def start_from_model(
-    path: Path, tokenizer: TrainedTokenizer, *, parts: InitParts = "all", like: BundleConfig | None = None
+    path: Path,
+    tokenizer: TrainedTokenizer,
+    *,
+    parts: InitParts = "all",
+    like: BundleConfig | None = None,
+    stays: bool = False,
 ) -> Mapping[str, Any]:
     """Returns the weights to start from (`init`): of a model's generator and text encoder, by collection and kind.
 
     The tokenizer may have another decoder than that of the model, because codes do not depend on it. With `fitting`
-    parts it may be any, and a codebook that the generator reads is not among the collections.
+    parts it may be any, and a codebook that the generator reads is not among the collections; but not if the generator
+    `stays` as it is.
 
     Raises:
         UserError: There is none, its codes mean something else because it has another tokenizer, or all of its weights
@@ -222,13 +231,20 @@ def start_from_model(
         )
     own = TrainedTokenizer(model.config.tokenizer, model.variables["tokenizer"], model.normalizer)
     same = tokenizer.has_codes_of(own)
+    if not same and stays:
+        raise UserError(
+            f"vqvae: the generator of {path} stays as it is, and was trained with another tokenizer; use its own"
+        )
     if not same and parts == "all":
         raise UserError(
             f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`, or take the weights "
             "that fit with `--init-parts fitting`"
         )
+    if like is not None and stays:
+        fields = sorted(flat_fields(like.generator).keys() - set(FREE_FIELDS))
+        check_same_function(f"the generator of {path}", model.config.generator, like.generator, fields)
     if like is not None and parts == "all":
-        fields = ("num_heads", "cumulative_depth")
+        fields = ["num_heads", "cumulative_depth"]
         check_same_function(f"the generator of {path}", model.config.generator, like.generator, fields)
         networks = [trained_network(one.text_encoder) for one in (model.config, like)]
         check_same_function(f"the text network of {path}", networks[0], networks[1], fields)

@@ -168,7 +168,8 @@ def kept_captions(dataset: Dataset | None, training_data: Mapping[str, Any] | No
         reworded = [reword(caption, generator) for caption in captions for _ in range(NUM_REWORDED)]
         found = [*captions, *reworded]
     else:
-        names = dataset.names("train")
+        usable = {clip.name for clip in dataset.clips("train")}  # published lists name clips that have no files
+        names = [name for name in dataset.names("train") if name in usable]
         drawn = generator.permutation(len(names))[:NUM_KEPT]
         clips = [dataset.captions(names[number]) for number in drawn]
         found = [clip[generator.integers(len(clip))].text for clip in clips if clip]

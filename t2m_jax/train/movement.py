@@ -16,9 +16,10 @@ from t2m_jax.data.banks.order import row_keys
 from t2m_jax.data.folder import Clip, Dataset
 from t2m_jax.devices import own_rows, split_rows
 from t2m_jax.losses import movement_loss
-from t2m_jax.models.evaluator import Evaluator, MovementDecoder
+from t2m_jax.models.evaluator import Evaluator, MovementDecoder, evaluator_shapes
 from t2m_jax.models.rows import apply_rows
 from t2m_jax.motion.normalizer import Normalizer
+from t2m_jax.train.checks import checked_weights
 from t2m_jax.train.config import LoopConfig, compiled_config
 from t2m_jax.train.evaluator_config import EvaluatorStepConfig, TrainEvaluatorConfig
 from t2m_jax.train.experiment import Setup, Validation, run_setup
@@ -105,7 +106,11 @@ def train_movements(
 ) -> Any:
     """Returns the trained weights of the movement encoder: those of `init`, or of a training, which may be finished."""
     if config.init is not None:
-        return load_trained_evaluator(config.init).variables["params"][MOVEMENTS]
+        given, wanted = (
+            {MOVEMENTS: parameters["params"][MOVEMENTS]}
+            for parameters in (load_trained_evaluator(config.init).variables, evaluator_shapes(config.model))
+        )
+        return checked_weights(config.init, given, wanted)[MOVEMENTS]
     logger.info("first the movement encoder, %d steps", config.movement_steps)
     loop = dataclasses.replace(movement_loop(config), num_steps=config.movement_steps)
     compiled = compiled_config(config)

@@ -271,6 +271,23 @@ def test_broken_captions_are_no_obstacle(data, tmp_path):
     assert "walk" in load_trained_evaluator(config.run).vocabulary
 
 
+@pytest.mark.slow
+def test_weights_that_would_read_other_motion_or_words_are_refused(data, finished, tmp_path):
+    words = [*load_trained_evaluator(finished).vocabulary.words]
+    (tmp_path / "words.txt").write_text("\n".join([*words[:3], *words[:2:-1]]) + "\n")
+    config = training(data, tmp_path / "run", init=finished)
+    with pytest.raises(UserError, match=r"statistics: those of .* are others"):
+        train(dataclasses.replace(config, root_weight=1.0))
+    with pytest.raises(UserError, match=r"words: .* has other words"):
+        train(dataclasses.replace(config, words=tmp_path / "words.txt"))
+    model = dataclasses.replace(config.model, movement_dim=config.model.movement_dim + 2)
+    with pytest.raises(UserError, match=r"init: array .* of .* not .* as in the config"):
+        train(dataclasses.replace(config, model=model, init_parts="fitting"))
+    assert not config.run.exists()
+    again = dataclasses.replace(config, statistics=f"{finished}", root_weight=1.0)
+    train(dataclasses.replace(again, loop=dataclasses.replace(LOOP, num_steps=1)))
+
+
 @pytest.mark.release
 def test_a_resumed_run_does_not_need_what_it_started_from(data, finished, tmp_path):
     shutil.copytree(finished, tmp_path / "first")

@@ -143,6 +143,10 @@ def test_kept_captions_of_a_data_set_are_those_of_its_training_clips(tmp_path):
     kept = kept_captions(dataset, None, seed=0)
     training = {caption.text for name in dataset.names("train") for caption in dataset.captions(name)}
     assert kept and set(kept) <= training
+    # Published lists name clips that have no files.
+    with (tmp_path / "data" / "train.txt").open("a") as names:
+        names.write("missing\n")
+    assert set(kept_captions(open_dataset(tmp_path / "data"), None, seed=0)) == set(kept)
 
 
 def test_words_that_lessons_teach():

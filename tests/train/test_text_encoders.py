@@ -65,6 +65,18 @@ def test_a_model_with_a_pretrained_encoder_is_trained_bundled_and_used(trained, 
 
 
 @pytest.mark.slow
+def test_a_generator_starts_from_a_model_with_the_same_encoder_only(trained, runs, tmp_path):
+    encoder = shutil.copytree(trained.run.parent / "encoder", tmp_path / "other")
+    change_weights(next(encoder.rglob("*.safetensors")))
+    config = training(trained.text_encoder, encoder, runs, tmp_path / "run")
+    config = dataclasses.replace(config, init=trained.run)
+    with pytest.raises(UserError, match="is not the text encoder that the model was trained with"):
+        train(config)
+    assert not config.run.exists()
+    train(dataclasses.replace(config, init_parts="fitting"))
+
+
+@pytest.mark.slow
 def test_a_run_is_resumed_with_its_encoder_only(trained):
     longer = dataclasses.replace(trained, loop=dataclasses.replace(TWO_STEPS, num_steps=3))
     assert int(train(longer, resume=True).step) == 3

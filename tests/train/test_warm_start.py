@@ -19,7 +19,7 @@ from t2m_jax.errors import UserError
 from t2m_jax.motion.normalizer import save_normalizer
 from t2m_jax.text.verbs import words_of
 from t2m_jax.train import TrainVqVaeConfig, train
-from t2m_jax.train.checks import fitting_weights
+from t2m_jax.train.checks import fitting_weights, warn_of_schedule
 from t2m_jax.train.experiment import find_trainer
 from t2m_jax.train.generator import start_from_model
 from t2m_jax.train.tokenize import CodedMotion, add_rewordings, draw_captions
@@ -160,6 +160,30 @@ def test_a_generator_whose_codes_or_statistics_mean_something_else_is_refused(ru
         with pytest.raises(UserError, match="was trained with another tokenizer"):
             start_from_model(runs.gpt, other)
         assert set(start_from_model(runs.gpt, other, parts="fitting")) == {"params"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("init_parts", ["all", "fitting"])
+def test_a_generator_that_stays_as_it_is_has_its_own_sizes_and_codes(runs, tmp_path, init_parts):
+    config = gpt_training(runs.data, runs.vqvae, tmp_path / "run")
+    config = dataclasses.replace(config, init=runs.gpt, init_parts=init_parts, trained="text")
+    wider = dataclasses.replace(config.model, embed_dim=2 * config.model.embed_dim)
+    with pytest.raises(UserError, match=r"init: the generator of .* has embed_dim 16, not 32"):
+        train(dataclasses.replace(config, model=wider))
+    other = vqvae_training(runs.data, tmp_path / "vqvae", loop=dataclasses.replace(SHORT, seed=9))
+    train(other)
+    with pytest.raises(UserError, match=r"vqvae: the generator of .* stays as it is"):
+        train(dataclasses.replace(config, vqvae=other.run))
+
+
+def test_updates_that_change_nothing_are_said_before_they_are_made(runs, tmp_path, caplog):
+    optimizer = dataclasses.replace(OPTIMIZER, cosine=(1, 2))
+    config = dataclasses.replace(vqvae_training(runs.data, tmp_path / "run"), optimizer=optimizer)
+    warn_of_schedule(config)
+    assert "the learning rate is 0 from update 2 on, but loop.num_steps is 8" in caplog.text
+    caplog.clear()
+    warn_of_schedule(dataclasses.replace(config, loop=dataclasses.replace(config.loop, num_steps=2)))
+    assert caplog.text == ""
 
 
 def test_a_model_that_shares_no_array_is_refused_also_in_parts(runs):
