@@ -112,6 +112,8 @@ def _zeros(dtype: np.dtype, shape: tuple[int, int]) -> np.ndarray:
 def _stored(glb: GlbChunks, place: Mapping[str, Any], dtype: np.dtype, shape: tuple[int, int]) -> np.ndarray:
     """Returns numbers as they are stored in a buffer view."""
     view = glb.tree["bufferViews"][place["bufferView"]]
+    if view.get("extensions"):
+        raise UserError(f"its data are compressed ({min(view['extensions'])}), which is not read; export without it")
     if view["buffer"] or "uri" in glb.tree["buffers"][0]:
         raise UserError("its data are in another file; export everything into one .glb")
     count, columns = shape

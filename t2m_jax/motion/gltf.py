@@ -185,15 +185,18 @@ def _sample(
         sampler = animation["samplers"][channel["sampler"]]
         if target.get("node") in nodes.numbers and target["path"] in ("translation", "rotation"):
             tracks[nodes.numbers[target["node"]], target["path"]] = _read_track(glb, sampler)
+    own_rate = _own_rate(glb.tree, animation)
+    # A scene may begin at frame 1 or 1001, and what never changes has a single key anywhere.
+    begins = [float(track.times[0]) for track in tracks.values() if len(track.times) > 1]
+    begin = 0.0 if own_rate else min(begins, default=0.0)
     # Tracks may end at different times; those that end earlier keep their last value.
-    seconds = max((float(track.times[-1]) for track in tracks.values()), default=0.0)
+    seconds = max((float(track.times[-1]) for track in tracks.values()), default=begin) - begin
     if not 0 <= seconds <= MAX_SECONDS:
         raise UserError(f"an animation ends after {seconds:g} seconds; expected at most {MAX_SECONDS:g}")
-    own_rate = _own_rate(glb.tree, animation)
     rate = fps or own_rate or (_key_rate([track.times for track in tracks.values()]) if at_keys else None)
     dense = rate or DENSE_FPS
     # The last key may be just below a whole frame.
-    times = np.arange(int(np.floor(seconds * dense + OFF_FRAME)) + 1) / dense
+    times = begin + np.arange(int(np.floor(seconds * dense + OFF_FRAME)) + 1) / dense
     if len(times) * len(nodes.names) > room:
         raise UserError(f"its animations have more than {MAX_POSES} poses of joints; split the file")
     translations = np.tile(nodes.translations, (len(times), 1, 1))

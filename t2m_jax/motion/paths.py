@@ -105,7 +105,7 @@ def turned_route(positions: Clip, degrees: float | int, *, fps: float) -> Route:
         UserError: The angle is too large, or the motion does not travel.
     """
     check_turn(degrees)
-    old, way = _smooth_path(positions, fps)
+    old, way = _smooth_path(positions, fps, field="turn")
     turns = math.radians(degrees) * way / way[-1]
     steps = turned_about_y(np.diff(old, axis=0), (turns[1:] + turns[:-1]) / 2)
     return Route(old, np.concatenate([old[:1], old[0] + np.cumsum(steps, axis=0)]), turns)
@@ -120,7 +120,7 @@ def route_along(positions: Clip, waypoints: Sequence[Sequence[float | int]], *, 
         UserError: The waypoints are not a path, or the motion does not travel.
     """
     points = check_waypoints(waypoints)
-    old, way = _smooth_path(positions, fps)
+    old, way = _smooth_path(positions, fps, field="path")
     curve, curve_way, length = _curve(points, way[-1] + LOOK_AHEAD)
     if way[-1] < REACHED * length:
         seconds = len(positions) / fps * length / way[-1]
@@ -148,12 +148,12 @@ def _locked(positions: Float[jax.Array, "T J 3"], *, fps: float, skeleton: Skele
     return lock_feet(positions, jnp.asarray(len(positions)), skeleton, fps=fps)
 
 
-def _smooth_path(positions: Clip, fps: float) -> tuple[Places, Way]:
+def _smooth_path(positions: Clip, fps: float, *, field: str) -> tuple[Places, Way]:
     """Returns the path of the root over the ground without its sway, and the way from the start to each frame."""
     smooth = smooth_path(positions, fps=fps)
     way = _way(smooth)
     if way[-1] < SHORTEST_PATH:
-        raise UserError(f"path: the motion travels {way[-1]:.2f} m; {SHORTEST_PATH} m or more are needed")
+        raise UserError(f"{field}: the motion travels {way[-1]:.2f} m; {SHORTEST_PATH} m or more are needed")
     return smooth, way
 
 

@@ -53,6 +53,18 @@ def test_places_between_keys(tmp_path):
         np.testing.assert_allclose(hand_of(writer, tmp_path, fps=2.0)[:, 1], expected, atol=1e-6)
 
 
+def test_an_animation_begins_with_its_first_key(tmp_path):
+    """Scenes begin at frame 1 or 1001, and tracks that never change have one key, at 0."""
+    keys = [[0, 1, 0], [0, 2, 0], [0, 4, 0]]
+    writer, root, hand = arm()
+    tracks = [
+        (root, "translation", [5, 6, 7], keys, "LINEAR", "f4"),
+        (hand, "translation", [0], [[1, 0, 0]], "STEP", "f4"),
+    ]
+    writer.animation("move", tracks)
+    np.testing.assert_allclose(hand_of(writer, tmp_path, fps=2.0)[:, 1], [1, 1.5, 2, 3, 4], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("frames", "rate", "fps"),
     [
@@ -78,7 +90,7 @@ def test_the_rate_is_that_of_even_keys(tmp_path, frames, rate, fps):
     )
     path = writer.save(tmp_path / "arm.glb")
     clip = load_gltf(path)["move"]
-    assert clip.fps == pytest.approx(fps, rel=1e-5) and clip.num_frames == int(times[-1] * fps + 0.05) + 1
+    assert clip.fps == pytest.approx(fps, rel=1e-5) and clip.num_frames == int((times[-1] - times[0]) * fps + 0.05) + 1
     (imported,) = open_motion_file(path).values()
     assert imported.fps == 20, "data stay as they are, whatever the rate of the keys"
     if clip.num_frames == len(frames):
@@ -259,6 +271,10 @@ def broken(change):
             "no data",
         ),
         (broken(lambda tree: tree["bufferViews"][0].update(buffer=1)), "another file"),
+        (
+            broken(lambda tree: tree["bufferViews"][0].update(extensions={"EXT_meshopt_compression": {}})),
+            "are compressed .EXT_meshopt_compression.",
+        ),
         (broken(lambda tree: tree["animations"][0].update(channels=7)), "not a correct GLB"),
         (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2])), "not a correct GLB"),
         (broken(lambda tree: tree["nodes"][0].update(translation=[1, 2, float("nan")])), "not a finite number"),

@@ -162,8 +162,10 @@ def test_what_is_no_path_is_refused(points, message):
 
 def test_motion_that_does_not_travel_has_no_path():
     for still in (make("wave-left-hand"), make()[:1]):
-        with pytest.raises(UserError, match=r"path: the motion travels 0\.\d\d m; 0\.5 m or more are needed"):
+        with pytest.raises(UserError, match=r"turn: the motion travels 0\.\d\d m; 0\.5 m or more are needed"):
             still.turned(90)
+        with pytest.raises(UserError, match=r"path: the motion travels"):
+            still.along([(0, 0), (0, 2)])
 
 
 def test_a_path_that_is_longer_than_the_motion_is_said(caplog):

@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections.abc import Sequence
-from decimal import Decimal
+from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,9 @@ from jaxtyping import Float
 from t2m_jax.errors import UserError
 from t2m_jax.motion.rig.clip import MAX_VALUE
 
+_USUAL_RATES = (24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 144, 240)
+_USUAL_TOLERANCE = 0.025  # 0.017 seconds are 60 frames per second
+_MOST_DIGITS = 20
 _RATE_TOLERANCE = 0.015  # 0.033 seconds are 30 frames per second, but 0.08 seconds are not 12
 
 
@@ -107,6 +110,22 @@ def _read_field(text: bytes, path: Path, *, line: int, field: str, content: str)
     return found[1], text, line
 
 
+def _usual_rate(seconds: Decimal) -> float | None:
+    """Returns the usual frame rate whose frame time, rounded or cut, is written so; None if there is none.
+
+    A time that is that of a whole rate without rounding, as 0.008 is that of 125, means this rate.
+    """
+    exponent = int(seconds.as_tuple().exponent)
+    if exponent < -_MOST_DIGITS or 1 % seconds == 0:
+        return None
+    last_digit = Decimal(1).scaleb(exponent)
+    for rate in _USUAL_RATES:
+        written = [(1 / Decimal(rate)).quantize(last_digit, rounding) for rounding in (ROUND_HALF_EVEN, ROUND_DOWN)]
+        if seconds in written and abs(rate * seconds - 1) < _USUAL_TOLERANCE:
+            return float(rate)
+    return None
+
+
 def _frame_rate(text: str, path: Path, *, line: int) -> float:
     """Returns frames per second: a whole number if the rounded frame time means one (0.0333333 is 30)."""
     try:
@@ -115,7 +134,9 @@ def _frame_rate(text: str, path: Path, *, line: int) -> float:
         seconds = np.nan
     if not 1e-4 <= seconds <= 1:
         raise UserError(f'{path}:{line}: bad frame time "{text}"; it must be seconds per frame, 0.0001 to 1')
-    # Frame times have few digits, so 0.0333 means 30 and not 30.03 frames per second.
+    # Frame times have few digits, so 0.0333 means 30 and not 30.03 frames per second, and 0.017 means 60 and not 59.
+    if (usual := _usual_rate(Decimal(text))) is not None:
+        return usual
     nearest = max(round(1 / seconds), 1)
     # Whether rounded or cut: 0.016666 means 60, too.
     last_digit = 10.0 ** int(Decimal(text).as_tuple().exponent)

@@ -24,6 +24,8 @@ STILL_FOOT = 0.4
 of 103 recordings, and rarely over 0.6; in those of people who crawl, 0.3 to 1.1)."""
 LEVEL_FEET = 0.15
 """The lower foot of a walk rises and falls less than this in most frames; meters."""
+SELDOM = 0.05
+"""A figure whose pose is along an axis in less than this share of its frames has a rest pose there."""
 POP_SPEED = 3.0
 """A frame is a rest pose before the motion if the joints then move faster than this; meters per second."""
 POP_RATIO = 5.0
@@ -59,7 +61,8 @@ def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 
     rests_y, rests_z = (bool(_upward(rest[None])[0, axis] > UPRIGHT) for axis in (1, 2))
     # Whoever lies does not rise and fall so far, but in some files, the rest pose alone has Y up.
     rises = float(np.ptp(positions[:, JOINT["pelvis"], 1]))
-    if rests_y and stands_y == 0 and stands_z > UPRIGHT and rises > LYING_RISE:
+    is_upright_along_z = rises > LYING_RISE or _walks_along_z(positions)
+    if rests_y and stands_y < SELDOM and stands_z > UPRIGHT and is_upright_along_z:
         return None
     # A rest pose that stands along Y settles it, also for a figure that lies in every frame.
     if rests_y or (stands_y > 0 and stands_y >= stands_z):

@@ -118,6 +118,10 @@ def test_somebody_who_walks_along_z_stands_whatever_the_rest_pose_is():
     for lying in (lifted, crawls, along_z[:15]):
         assert find_up(lying.astype(np.float32), sideways) is None
     assert find_up(along_z, walk[0]) is None, "a rest pose that stands along Y may be right"
+    # Whichever way somebody walks, and if the first frame is the rest pose.
+    along_x = walk[..., [2, 0, 1]]
+    with_rest = np.concatenate([walk[:1], along_x])
+    assert np.ptp(along_x[:, 0, 1]) < 0.5 and find_up(along_x, walk[0]) is find_up(with_rest, walk[0]) is None
 
 
 def test_an_import_says_what_it_turned_and_takes_the_users_word(tmp_path):
