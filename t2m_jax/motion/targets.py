@@ -156,8 +156,7 @@ def read_target(given: object) -> Target:
 
 
 def _from_text(text: str) -> Target:
-    # With single spaces, no text of a stranger takes long to match.
-    found = _TARGET.fullmatch(" ".join(text.split()))
+    found = _TARGET.fullmatch(" ".join(text.split()))  # with single spaces, no text takes long to match
     begin, until, joint, sign, numbers, exact = found.groups() if found else ("", None, "", "", "", None)
     try:
         seconds = float(begin)

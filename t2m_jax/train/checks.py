@@ -10,11 +10,13 @@ import jax
 import numpy as np
 from flax import traverse_util
 
-from t2m_jax.checkpoints.bundle import BUNDLED, bundle_path
+from t2m_jax.checkpoints.averaging import FREE_FIELDS
+from t2m_jax.checkpoints.bundle import BUNDLED, BundleConfig, bundle_path
 from t2m_jax.checkpoints.bundle import CONFIG_FILE as BUNDLE_FILE
 from t2m_jax.checkpoints.evaluator import EVALUATOR_CONFIG, PACKAGED, load_trained_evaluator
 from t2m_jax.checkpoints.model import load_model
 from t2m_jax.checkpoints.run import CONFIG_FILE, foreign_file, is_run, run_config_text, run_info
+from t2m_jax.checkpoints.text_encoder import trained_network
 from t2m_jax.checkpoints.tokenizer import load_tokenizer
 from t2m_jax.config import flat_fields, load_config
 from t2m_jax.data.checks import check_feature_dim, check_rate, find_difference
@@ -23,7 +25,7 @@ from t2m_jax.distributed import is_writer
 from t2m_jax.errors import UserError
 from t2m_jax.files.locks import lock
 from t2m_jax.motion.normalizer import Normalizer, load_normalizer, normalizer_from_files, weighted_normalizer
-from t2m_jax.train.config import FROM_DATA, ExperimentConfig
+from t2m_jax.train.config import FROM_DATA, ExperimentConfig, InitParts
 
 logger = logging.getLogger(__name__)
 
@@ -253,6 +255,25 @@ def check_same_function(source: str, given: Any, config: Any, fields: Iterable[s
         own, wanted = getattr(given, name, None), getattr(config, name, None)
         if own != wanted:
             raise UserError(f"init: {source} has {name} {own!r}, not {wanted!r} as in the config")
+
+
+def check_same_model(path: Path, given: BundleConfig, config: BundleConfig, *, parts: InitParts, stays: bool) -> None:
+    """Raises `UserError` if the generator or the text network of a model would compute something else with a config.
+
+    Args:
+        path: Of the model, for the message.
+        given: Its config.
+        config: That of the run.
+        parts: Which of its weights the run starts from.
+        stays: Whether the generator is not trained, so that all of it must be the same.
+    """
+    fields = ("num_heads", "cumulative_depth")
+    if parts == "all":
+        networks = [trained_network(one.text_encoder) for one in (given, config)]
+        check_same_function(f"the text network of {path}", networks[0], networks[1], fields)
+    if parts == "all" or stays:
+        own = sorted(flat_fields(config.generator).keys() - set(FREE_FIELDS)) if stays else fields
+        check_same_function(f"the generator of {path}", given.generator, config.generator, own)
 
 
 def checked_weights(source: Path, weights: Mapping[str, Any], like: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -165,14 +165,21 @@ def make_vocabulary(config: TrainEvaluatorConfig, samples: Sequence[Clip], *, re
     return vocabulary_from_captions(captions.all_tokens(samples), min_count=config.min_count)
 
 
-def _check_start(init: Path, parts: InitParts, normalizer: Normalizer, vocabulary: Vocabulary) -> None:
-    """Raises `UserError` if weights of `init` would read other motion or words than those that they have learned."""
-    source = load_trained_evaluator(init)
+def _weights_to_start_from(
+    path: Path, parts: InitParts, normalizer: Normalizer, vocabulary: Vocabulary
+) -> Mapping[str, Any]:
+    """Returns the weights of an evaluator.
+
+    Raises:
+        UserError: In the new run, they would read other motion or words than those that they have learned.
+    """
+    source = load_trained_evaluator(path)
     if not all(map(np.array_equal, normalizer, source.normalizer)):
-        raise UserError(f"statistics: those of {init} are others, but its movement encoder stays; set it to `init`")
+        raise UserError(f"statistics: those of {path} are others, but its movement encoder stays; set it to `init`")
     words = (vocabulary.words, source.vocabulary.words)
     if words[0] != words[1] and (parts == "all" or len(words[0]) == len(words[1])):
-        raise UserError(f"words: {init} has other words, so its word vectors would be exchanged; leave it out")
+        raise UserError(f"words: {path} has other words, so its word vectors would be exchanged; leave it out")
+    return source.variables
 
 
 def load_table(config: TrainEvaluatorConfig, vocabulary: Vocabulary) -> Array | None:
@@ -216,8 +223,6 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
     # Shorter motions have no movement, so that the evaluator could not tell them apart.
     samples, validated = (matching_samples(clips, dataset.info) for clips in (train, held_out))
     vocabulary = make_vocabulary(config, samples, resume=resume)
-    if config.init is not None and not resume:
-        _check_start(config.init, config.init_parts, normalizer, vocabulary)
     # The state that is restored has the movement encoder and the word vectors; their files may be gone.
     is_restored = resume and newest_step(config.run) > 0
     table = None if is_restored else load_table(config, vocabulary)
@@ -247,7 +252,7 @@ def prepare(config: TrainEvaluatorConfig, resume: bool) -> Setup:
         frames_per_step=config.loop.batch_size * dataset.info.max_frames,
         weights=lambda state: {"params": state.params},
         write_parts=lambda run: save_evaluator_parts(run, config.model, normalizer, vocabulary),
-        start_from=lambda path: load_trained_evaluator(path).variables,
+        start_from=lambda path: _weights_to_start_from(path, config.init_parts, normalizer, vocabulary),
         validation=validation,
         patience=config.patience * config.loop.validate_every if validated else 0,
     )

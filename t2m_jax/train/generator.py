@@ -11,10 +11,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from t2m_jax.checkpoints.averaging import FREE_FIELDS
 from t2m_jax.checkpoints.bundle import CONFIG_FILE, Bundle, BundleConfig, part_kinds
 from t2m_jax.checkpoints.model import load_model
-from t2m_jax.checkpoints.text_encoder import trained_network
 from t2m_jax.checkpoints.tokenizer import TrainedTokenizer, load_tokenizer, load_tokenizer_config, save_tokenizer_copy
 from t2m_jax.config import flat_fields, save_config
 from t2m_jax.data.banks.codes import Captions, CodeBank, CodeBatch, code_batch_at
@@ -32,7 +30,7 @@ from t2m_jax.text.bpe import save_bpe
 from t2m_jax.text.caption_states import CaptionStates
 from t2m_jax.train import tokenize
 from t2m_jax.train.captions import CaptionReader, make_caption_reader, open_text_encoder, state_width
-from t2m_jax.train.checks import check_same_function, open_data
+from t2m_jax.train.checks import check_same_model, open_data
 from t2m_jax.train.config import InitParts, compiled_config
 from t2m_jax.train.experiment import Evaluation, Setup, Trainer, Validation
 from t2m_jax.train.generator_config import GeneratorStepConfig, TrainGeneratorConfig
@@ -193,15 +191,17 @@ def prepare_generator(config: Any, steps: GeneratorSteps, *, resume: bool) -> Se
         frames_per_step=config.loop.batch_size * float(bank.code_lengths.mean()) * tokenizer.config.downsample,
         weights=weights_of,
         write_parts=write_parts,
-        start_from=lambda path: start_from_model(
-            path, tokenizer, parts=config.init_parts, like=parts, stays=config.trained == "text"
-        ),
+        start_from=lambda path: start_from_model(path, tokenizer, like=parts, **_start_options(config)),
         validation=make_validation(config, steps, dataset, tokenizer, reader),
         evaluation=make_evaluation(config, parts, tokenizer, reader),
         # The config counts what chooses the weights, and the loop updates.
         patience=config.patience
         * (config.evaluation.every if config.evaluation.evaluator else config.loop.validate_every),
     )
+
+
+def _start_options(config: Any) -> dict[str, Any]:
+    return {"parts": config.init_parts, "stays": config.trained == "text"}
 
 
 def start_from_model(
@@ -240,14 +240,8 @@ def start_from_model(
             f"init: {path} was trained with another tokenizer; use its own with `--vqvae {path}`, or take the weights "
             "that fit with `--init-parts fitting`"
         )
-    if like is not None and stays:
-        fields = sorted(flat_fields(like.generator).keys() - set(FREE_FIELDS))
-        check_same_function(f"the generator of {path}", model.config.generator, like.generator, fields)
-    if like is not None and parts == "all":
-        fields = ["num_heads", "cumulative_depth"]
-        check_same_function(f"the generator of {path}", model.config.generator, like.generator, fields)
-        networks = [trained_network(one.text_encoder) for one in (model.config, like)]
-        check_same_function(f"the text network of {path}", networks[0], networks[1], fields)
+    if like is not None:
+        check_same_model(path, model.config, like, parts=parts, stays=stays)
     weights: dict[str, Any] = {}
     for role, kind in part_kinds(model.config).items():
         # A state has its parts by collection first, a model by role first.

@@ -106,11 +106,9 @@ def train_movements(
 ) -> Any:
     """Returns the trained weights of the movement encoder: those of `init`, or of a training, which may be finished."""
     if config.init is not None:
-        given, wanted = (
-            {MOVEMENTS: parameters["params"][MOVEMENTS]}
-            for parameters in (load_trained_evaluator(config.init).variables, evaluator_shapes(config.model))
-        )
-        return checked_weights(config.init, given, wanted)[MOVEMENTS]
+        shapes = evaluator_shapes(config.model)["params"]
+        given = load_trained_evaluator(config.init).variables["params"]
+        return checked_weights(config.init, {MOVEMENTS: given[MOVEMENTS]}, {MOVEMENTS: shapes[MOVEMENTS]})[MOVEMENTS]
     logger.info("first the movement encoder, %d steps", config.movement_steps)
     loop = dataclasses.replace(movement_loop(config), num_steps=config.movement_steps)
     compiled = compiled_config(config)
