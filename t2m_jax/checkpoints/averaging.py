@@ -61,7 +61,7 @@ def _check_alike(first: Bundle, second: Bundle) -> None:
 
 
 def _counting_fields(bundle: Bundle) -> dict[str, Any]:
-    """Returns the fields of a model's config that weights depend on. An encoder may lie in another folder."""
+    """Returns the fields of a model's config that weights depend on. An encoder may be in another folder."""
     config = bundle.config.text_encoder
     encoder = config if pretrained_reference(config) is None else with_encoder_name(config, "")
     parts = {"generator": bundle.config.generator, "text_encoder": encoder}

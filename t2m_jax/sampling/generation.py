@@ -104,6 +104,11 @@ def _make_rows(model: ModelParts, sample: Sample, sampling: Sampling, guidance_s
     for row, ended in model.sample_rows(model.text_encoder([prompt.read]), sample.key, sampling, guidance_scale):
         motion = growing.add(row, ended=ended)
         if motion is not None:
-            motion = dataclasses.replace(motion, caption=prompt.text, seed=sample.seed)
-            motion = dataclasses.replace(motion, warning=prompt.warning, unknown_words=prompt.unknown_words)
-            yield from split_rows(motion)
+            said = dataclasses.replace(
+                motion,
+                caption=prompt.text,
+                seed=sample.seed,
+                warning=prompt.warning,
+                unknown_words=prompt.unknown_words,
+            )
+            yield from split_rows(said)

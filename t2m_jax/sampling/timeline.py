@@ -212,6 +212,7 @@ def stream_segments(
     downsample = model.config.tokenizer.downsample
     caption = chain_caption(segments, start)
     warning = " ".join(dict.fromkeys(filter(None, (segment.prompt.warning for segment in segments))))
+    unknown_words = _unknown_words(segments)
     frames = 0
 
     def numbered() -> Iterator[tuple[int, Codes]]:
@@ -234,7 +235,7 @@ def stream_segments(
             part_starts=tuple(first for first, _ in own),
             part_captions=tuple(text for _, text in own),
             warning=warning,
-            unknown_words=_unknown_words(segments),
+            unknown_words=unknown_words,
         )
         frames = last
         # Sentences begin when their codes are sampled, which is some windows before they are decoded.

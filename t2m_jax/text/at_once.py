@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from t2m_jax.text.numerals import pattern, without_busy_hands, without_others
+from t2m_jax.text.numerals import OWNER, pattern, without_busy_hands, without_others
 from t2m_jax.text.paces import GAITS
 from t2m_jax.text.sequence import split_sequence
 from t2m_jax.text.subjects import ANIMALS, CROWDS, PERSON
@@ -39,10 +39,9 @@ _HAND = pattern(
     rf"(?:(?P<many>both|two)(?: \w+){{0,2}} )?{_BODY})\b",
 )
 _MANY = pattern(r"\b(?:arms|hands|fists)\b")
-_WITH = pattern(r"\bwith (?:the|his|her|their|your|my|its) (?P<side>left|right)(?P<other>)(?= *(?:$|[.,;!?]))")
+_WITH = pattern(rf"\bwith {OWNER} (left|right)(?= *(?:$|[.,;!?]))")
 """A hand that is named by its side alone: "waves with her left"."""
 _OTHER = pattern(rf"\b(?:other|opposite)(?: (?:{_BODY}|one)\b|$|[,.!])")
-_SIDE_WORD = pattern(r"\b(left|right)\b")
 _DIRECTION = pattern(rf"\b(?P<side>left|right)\b(?!(?:[ -]hand\w*)|(?: and (?:left|right))? (?:{_BODY}|one)\b)")
 _HIGH = (
     r"(?:up(?! (?:an?|the|to)\b)|high|overhead|aloft|skywards?|above|over (?:his|her|their|your|my|its|the) head|"
@@ -180,9 +179,10 @@ def _hands(text: str, arms: str) -> frozenset[str]:
     free = without_busy_hands(text)
     doing = [clause for clause in _CLAUSE.split(free) if _arms(clause, words_of(clause)) == arms]
     found = [hand for clause in doing for hand in _HAND.finditer(clause)] or list(_HAND.finditer(free))
-    named = [*found, *(hand for clause in doing or [free] for hand in _WITH.finditer(clause))]
-    sides = {side.lower() for one in named for side in one.group("side", "other") if side}
-    busy = {side.lower() for side in _SIDE_WORD.findall(text)} - {side.lower() for side in _SIDE_WORD.findall(free)}
+    named = [side for hand in found for side in hand.group("side", "other") if side]
+    named += [side for clause in doing or [free] for side in _WITH.findall(clause)]
+    sides = {side.lower() for side in named}
+    busy = SIDES.intersection(text.lower().split()) - SIDES.intersection(free.lower().split())
     if not sides and len(busy) == 1 and any(map(_OTHER.search, doing or [free])):
         return SIDES - busy
     if not sides and any(one["many"] or _MANY.search(one[0]) for one in found):

@@ -4,6 +4,7 @@ import itertools
 import re
 from collections.abc import Iterable, Sequence
 
+from t2m_jax.text.numerals import OWNER
 from t2m_jax.text.verbs import (
     AUXILIARIES,
     BODY,
@@ -53,11 +54,10 @@ _SAME = re.compile(
     re.IGNORECASE,
 )
 """Words in place of the verb of the other clause: "does the same"."""
-_THE = "(?:the|his|her|its|their|your|my)"
-_SIDE = re.compile(rf"\b(?:(?P<the>{_THE}) )?(?P<side>left|right)\b(?: (?P<part>\w+)\b)?", re.IGNORECASE)
+_SIDE = re.compile(rf"\b(?:(?P<the>{OWNER}) )?(?P<side>left|right)\b(?: (?P<part>\w+)\b)?", re.IGNORECASE)
 _THEN = re.compile(r",?(?: and)? then\b.*", re.IGNORECASE)
 _NO_NOUN = re.compile(
-    rf"(?<!\bat )(?<!\bon )(?<!\bto )(?<!\bfrom )\b(?P<side>{_THE} (?:left|right))(?: one)?"
+    rf"(?<!\bat )(?<!\bon )(?<!\bto )(?<!\bfrom )\b(?P<side>{OWNER} (?:left|right))(?: one)?"
     r"(?=$|,| is\b| was\b| has\b)",
     re.IGNORECASE,
 )

@@ -10,6 +10,8 @@ from t2m_jax.text.numerals import (
     ADVERBS,
     MULTIPLES,
     NUMBER,
+    OWNER,
+    OWNERS,
     SINGULAR,
     START,
     ends_range,
@@ -69,13 +71,14 @@ _DOING = PERFORMING_VERBS | LIGHT_VERBS | word_set("add attempt complete deliver
 _BACK = word_set("drop lower release relax return")
 """Verbs of the second half of an action: "raises the arm and lowers it twice"."""
 _NO_THING = r"(?![ -](?:corner|direction|door|edge|goal|lane|post|side|wall)\b)"
-_NOT_ON = "".join(rf"(?<!\bon {word} )" for word in ("the", "his", "her", "its", "their", "your", "my"))
+_NOT_ON = "".join(rf"(?<!\bon {word} )" for word in OWNERS)
+"""Not the leg that somebody stands on."""
 _ADJECTIVE = r"(?!(?:and|or|then)\b)\w+"
 _WITH_SIDE = {
     limb: pattern(
         rf"(?<!'s ){_NOT_ON}\b(left|right)[ -](?:{words})\b{_NO_THING}|",
         rf"\b(left|right) (?:{_ADJECTIVE} )?(?:kick|throw)\b|",
-        r"\bwith (?:his|her|its|the|their|your) (left|right)(?= one\b|$|[.,;!])",
+        rf"\bwith {OWNER} (left|right)(?= one\b|$|[.,;!])",
     )
     for limb, words in {"leg": "foot|footed|leg|legged", "arm": "arm|fist|hand|handed"}.items()
 }
@@ -83,18 +86,21 @@ _WITH_SIDE = {
 _LEG_ACTIONS = word_set("kick")
 """Those that are done with a leg."""
 _MEASURES = word_set("cm degree feet foot hour inch kg kilo meter metre minute mm month old pound second week year")
+"""What a number may be of before an action: "a 7 year old jumps"."""
 _GROUPS = pattern(r"\b(?:circle|count|group|line|pair|row|team) of $")
+"""What stands before a number of people, or of what is counted aloud."""
 _NAMED = pattern(r"(?:(?:^|[,;] ?)(?:(?:an?|the) )?(?:\w+ )?|\b(?P<in>(?:at|for|from|in|of|on) ))(?P<noun>[a-z]+) $")
 """A noun that a number may belong to: "player 2", "in scene 2"."""
 _RATE = pattern(r" (?:per|an?|each|every) (?:beat|hour|minute|second)\b")
+"""What makes a number of times a rate: "two steps per second"."""
 _LAST = pattern(rf"$|[.,;!]| (?:and|while|{'|'.join(sorted(PREPOSITIONS))})\b")
+"""What follows the last word of a noun phrase."""
 _APART = pattern(r" (?:ahead of|apart|behind)\b")
 """What follows steps that are a distance: "stays two steps behind"."""
 _STAIRS = word_set("ascend climb descend fall")
 """Verbs before a number of steps that are there."""
 _TO = word_set("at from on to toward towards")
-_TO_THE = word_set("his her its the their")
-"""Words before a side that is a direction: "to the left"."""
+"""Words before a side that is a direction, and one of `OWNERS`: "to the left"."""
 
 
 class Times(NamedTuple):
@@ -192,7 +198,7 @@ def _sides(words: Sequence[Word]) -> frozenset[str]:
     sides = set()
     for place in (place for place, text in enumerate(texts) if text in SIDES):
         is_part = not BODY.isdisjoint(forms(texts[place + 1])) and texts[place + 2] != "side"
-        if is_part or texts[place - 2] not in _TO or texts[place - 1] not in _TO_THE:
+        if is_part or texts[place - 2] not in _TO or texts[place - 1] not in OWNERS:
             sides.add(texts[place])
     return frozenset(sides) if len(sides) == 1 else SIDES
 
@@ -260,19 +266,19 @@ def _nouns(caption: str, countable: Collection[str]) -> Iterator[tuple[int, _Sai
         before = caption[: noun.start()]
         number = noun["number"].lower()
         action = _counted_noun(noun, countable, before)
-        is_done = number in MULTIPLES or _is_doing(before, action)
-        if action and is_done and not (_GROUPS.search(before) or _is_name(before)):
+        is_done = bool(action) and (number in MULTIPLES or _is_doing(before, action))
+        if is_done and not (_GROUPS.search(before) or _is_name(before)):
             is_meant = not is_negated(words_of(before)) and not ends_range(before)
             yield noun.start(), _Said(noun["number"], noun["number"], action if is_meant else "")
 
 
 def _counted_noun(noun: re.Match[str], countable: Collection[str], before: str) -> str:
     """Returns the action among the words behind a number; empty if the number is about something else there."""
+    is_one = noun["number"].lower() in SINGULAR
     for word in re.finditer(r"[\w-]+", noun["words"].lower()):
         bases = forms(word[0])
         action = min(bases & set(countable), default="")
         after = noun["words"][word.end() :] + noun.string[noun.end("words") :]
-        is_one = noun["number"].lower() in SINGULAR
         # "Seven step to the front" has a mistake.
         is_plural = not is_one and (word[0].endswith("s") or (word.start() == 1 and _LAST.match(after)))
         if action and (is_plural or (is_one and word[0] == action)):

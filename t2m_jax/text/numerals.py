@@ -62,17 +62,19 @@ _RANGE = pattern(
     r"(?:,? ?(?:or|to|[-\u2013\u2014])|,(?= ?(?:maybe|perhaps|possibly)))(?: ?(?:even|maybe|perhaps|possibly),?)? ?|",
     rf"\bbetween (?:{NUMBER}) and )$",
 )
+OWNERS = ("the", "his", "her", "its", "their", "your", "my")
+"""Words before a part of the body or a side: "the left hand"."""
+OWNER = f"(?:{'|'.join(OWNERS)})"
 _OF_OTHERS = pattern(rf"\b(?:while|when|as) {_OTHERS} .*")
 
 
-_THEIR = "(?:the|his|her|its|their|your|my)"
 _HELD = r"(?:\b(?:grasp|grip|hold)(?:s|p?ed|p?ing)?\b|\bcarr(?:y|ies|ied|ying)\b|\bheld\b|\bwith (?=an? ))"
 _NEAR = "(?:belts?|casts?|coats?|hips?|jackets?|laps?|pockets?|sides?|slings?|waists?)"
 _BUSY_HAND = pattern(
-    rf"{_HELD}[^,;]{{0,30}}? (?:in|with|under) (?:{_THEIR} )?(?:left|right) (?:arm|hand)\b|",
-    rf"\b(?:{_THEIR}|(?:{_THEIR} )?(?:left|right|other)) (?:arms?|fists?|hands?|palms?)(?: \w+(?:ing|ed)| still)? ",
-    rf"(?:(?:against|behind|inside|on) {_THEIR} (?!(?:left|other|right|way)\b)|",
-    rf"(?:at|by|in|near) (?:{_THEIR} )?(?:\w+ )?{_NEAR}\b)",
+    rf"{_HELD}[^,;]{{0,30}}? (?:in|with|under) (?:{OWNER} )?(?:left|right) (?:arm|hand)\b|",
+    rf"\b(?:{OWNER}|(?:{OWNER} )?(?:left|right|other)) (?:arms?|fists?|hands?|palms?)(?: \w+(?:ing|ed)| still)? ",
+    rf"(?:(?:against|behind|inside|on) {OWNER} (?!(?:left|other|right|way)\b)|",
+    rf"(?:at|by|in|near) (?:{OWNER} )?(?:\w+ )?{_NEAR}\b)",
 )
 """A hand that does something else: "with the left hand in his pocket", "holding a cup in the right hand"."""
 

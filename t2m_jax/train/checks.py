@@ -236,10 +236,12 @@ def warn_of_schedule(config: Any) -> None:
     """Says so if the last updates of a training would change nothing, as those after a decay of the learning rate."""
     cosine = config.optimizer.cosine
     if cosine is not None and config.loop.num_steps > cosine[1]:
-        says = (
-            "optimizer.cosine: the learning rate is 0 from update %d on, but loop.num_steps is %d; to train on, start a"
+        logger.warning(
+            "optimizer.cosine: the learning rate is 0 from update %d on, but loop.num_steps is %d; to train on, "
+            "start a new run with `--init`",
+            cosine[1],
+            config.loop.num_steps,
         )
-        logger.warning(f"{says} new run with `--init`", cosine[1], config.loop.num_steps)
 
 
 def check_same_function(source: str, given: Any, config: Any, fields: Iterable[str]) -> None:

@@ -168,11 +168,9 @@ def kept_captions(dataset: Dataset | None, training_data: Mapping[str, Any] | No
         reworded = [reword(caption, generator) for caption in captions for _ in range(NUM_REWORDED)]
         found = [*captions, *reworded]
     else:
-        usable = {clip.name for clip in dataset.clips("train")}  # published lists name clips that have no files
-        names = [name for name in dataset.names("train") if name in usable]
-        drawn = generator.permutation(len(names))[:NUM_KEPT]
-        clips = [dataset.captions(names[number]) for number in drawn]
-        found = [clip[generator.integers(len(clip))].text for clip in clips if clip]
+        clips = dataset.clips("train")  # without those that lists name and that cannot be used
+        drawn = [clips[number].captions for number in generator.permutation(len(clips))[:NUM_KEPT]]
+        found = [captions[generator.integers(len(captions))].text for captions in drawn if captions]
     actions = make_knowledge(training_data).actions
     parts = [part for caption in found for part in split_sequence(caption, actions)]
     return list(dict.fromkeys([*found, *parts]))

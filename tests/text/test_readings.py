@@ -40,7 +40,7 @@ def side_of(sentence):
     ("group", "wanted", "read", "right"),
     [
         ("counts", "count", count_of, 24),
-        ("hands", "hands", hands_of, 23),
+        ("hands", "hands", hands_of, 24),
         ("turns", "half", lambda sentence: find_turn(sentence) is not None, 20),
         ("sides", "side", side_of, 24),
     ],

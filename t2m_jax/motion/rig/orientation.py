@@ -61,8 +61,7 @@ def find_up(positions: Float[np.ndarray, "T 22 3"], rest: Float[np.ndarray, "22 
     rests_y, rests_z = (bool(_upward(rest[None])[0, axis] > UPRIGHT) for axis in (1, 2))
     # Whoever lies does not rise and fall so far, but in some files, the rest pose alone has Y up.
     rises = float(np.ptp(positions[:, JOINT["pelvis"], 1]))
-    is_upright_along_z = rises > LYING_RISE or _walks_along_z(positions)
-    if rests_y and stands_y < SELDOM and stands_z > UPRIGHT and is_upright_along_z:
+    if rests_y and stands_y < SELDOM and stands_z > UPRIGHT and (rises > LYING_RISE or _walks_along_z(positions)):
         return None
     # A rest pose that stands along Y settles it, also for a figure that lies in every frame.
     if rests_y or (stands_y > 0 and stands_y >= stands_z):

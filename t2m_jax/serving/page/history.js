@@ -103,7 +103,11 @@ export class History {
   async change(ids, fields) {
     const changed = this.#entries.filter(({ id }) => ids.includes(id));
     if (changed.length < ids.length) throw new Error("this motion is no longer in the history");
-    if (fields.deleted === null) for (const id of ids) await this.take(id); // another tab may have made room
+    // Another tab may have made room.
+    const isThere = async (id) => this.#loose.has(id) || (await this.store?.has(id));
+    if (fields.deleted === null && !(await Promise.all(ids.map(isThere))).every(Boolean)) {
+      throw new Error("this motion is no longer in the browser's storage");
+    }
     for (const entry of changed) Object.assign(entry, fields);
     const stored = changed.filter(({ id }) => !this.#loose.has(id));
     await this.store?.change(stored).catch(() => showMessage("The history could not be changed in the browser's storage."));

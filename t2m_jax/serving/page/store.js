@@ -46,6 +46,10 @@ export class Store {
     return settled(this.database.transaction("takes").objectStore("takes").get(id));
   }
 
+  has(id) {
+    return settled(this.database.transaction("takes").objectStore("takes").count(id)); // which does not read the motion
+  }
+
   character() {
     return this.take(CHARACTER);
   }
